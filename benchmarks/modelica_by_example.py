@@ -284,6 +284,7 @@ def page(results: dict[str, dict[str, Any]], shown: set[str]) -> str:
         if result["stage"] != "right" and "nothing to compare" not in result["why"]:
             why = result["why"].replace("|", "\\|")[:200] + (f"; {NOTES[name]}" if name in NOTES else "")
             lines.append(f"| `{name.removeprefix('ModelicaByExample.')}` | {result['stage']} | {why} |")
+    lines += ["", "Next: [Modelica](modelica.md), or [how good it is](quality.md)."]
     return "\n".join(lines) + "\n"
 
 

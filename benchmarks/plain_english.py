@@ -57,7 +57,6 @@ NOT_YET: tuple[str, ...] = (
     "docs/laws.md",
     "docs/modelica.md",
     "docs/standard_library.md",
-    "docs/tutorials/paper.md",
     "fmu_build/aliases.py",
     "fmu_build/build.py",
     "fmu_build/compiler.py",

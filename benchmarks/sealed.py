@@ -92,11 +92,11 @@ def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str
     lines = [
         "# Diagnoses of the sealed campaigns",
         "",
-        "What fmuid says about campaigns whose answers are withheld, case by case; what it said stands.",
+        "Verdicts of fmuid on campaigns whose answers are withheld, case by case, as given.",
         "",
-        "Gaps are in noise floors: of the base model with its parameters refitted, and with the verdict's effects",
-        "added. The expected closure is that on experiments left out, beyond what refitting closes; *unknown*",
-        "and *complete* promise none. [How to read a diagnosis](diagnosis.md);",
+        "Gaps are in noise floors: with the base model's parameters refitted, and with the verdict's effects.",
+        "The expected closure is for a new experiment, beyond what refitting closes; *unknown* and *complete*",
+        "promise none. [How to read a diagnosis](diagnosis.md);",
         "[what was known beforehand](quality.md#what-was-known-beforehand).",
         *_section(
             "At home",
@@ -111,6 +111,7 @@ def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str
             " `make sealed-abroad`; each whole answer is in `sealed/abroad/`.",
         ),
     ]
+    lines += ["", "Next: [how good it is](quality.md)."]
     return "\n".join(lines) + "\n"
 
 

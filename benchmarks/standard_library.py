@@ -157,6 +157,7 @@ def page(results: dict[str, dict[str, Any]]) -> str:
             why = result["why"].replace("|", "\\|")[:200]
             note = f"; {NOTES[name]}" if name in NOTES else ""
             lines.append(f"| `{name.removeprefix('Modelica.')}` | {result['stage']} | {why}{note} |")
+    lines += ["", "Next: [Modelica](modelica.md), or [how good it is](quality.md)."]
     return "\n".join(lines) + "\n"
 
 

@@ -7,16 +7,15 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
+from benchmarks.paper_reproduced.losses import law_figures, output_bearing, sliding
 from benchmarks.paper_reproduced.pictures import FIG_7, SENSOR, write_pictures
 from benchmarks.paper_reproduced.recorded import ROOT
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.campaign import Campaign
 from fmuid.core.files import write_atomically
-from fmuid.core.immutable import FloatArray
 from fmuid.identification.result import Result, StageResult
 from fmuid.identification.validate import Validation, validate
-from fmuid.simulation.coupled.loading import load_simulator
-from fmuid.simulation.simulator import Task
+from fmuid.report.plots import save_figure
 
 PAGE = ROOT / "docs" / "tutorials" / "paper.md"
 FIGURES = ROOT / "docs" / "figures"
@@ -47,6 +46,8 @@ def write_page(direct: Path, least_squares: Path) -> None:
     runs = [*FIG_7, *(run for run in campaign.validation if run.startswith("valid_") and "_r" not in run)]
     found = validate(ours, campaign, experiments=runs)
     write_pictures(ours, found, campaign, FIGURES)
+    for figure in law_figures(campaign, _values(ours)):
+        save_figure(figure, FIGURES)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         undefined=jinja2.StrictUndefined,
@@ -63,6 +64,7 @@ def write_page(direct: Path, least_squares: Path) -> None:
         searches=_searches(ours, other),
         totals=[sum(s.evaluations for s in r.stages) for r in (ours, other)],
         quadrants=_quadrants(campaign, ours),
+        output_bearing=output_bearing(_values(ours)),
         table=_table(ours),
         rows=_rows(ours),
         worst=_worst(found),
@@ -165,19 +167,8 @@ def _worst(found: Validation) -> dict[str, tuple[str, str]]:
 
 def _quadrants(campaign: Campaign, ours: Result) -> list[tuple[str, ...]]:
     """Return Table 1 against the FMU in all four quadrants: samples, and the largest deviation, N.m."""
-    simulator = load_simulator(campaign.models["eccentric_load"])
-    names = ["gear.w", "gear.W.tau", "gear.friction", *(f"gear.losses[{k}]" for k in range(1, 5))]
-    values = {n: v for n, v in _values(ours).items() if n in simulator.variables} | {"mgr": 35.5}
-    time = 0.01 * np.arange(3001)
-    found: list[FloatArray] = []
-    for sign in (1.0, -1.0):
-        reference = sign * 10.0 * np.minimum(time / 0.5, 1.0)
-        rows = simulator.simulate(Task(time, {"w_ref": reference}, tuple(names)), values)
-        found.append(rows[:, time > 1.0])
-    w, tau, friction, eta1, eta2, bf1, bf2 = np.hstack(found)
-    forward, driving = w > 0, w * tau >= 0
-    sign = np.where(forward, 1.0, -1.0)
-    law = np.where(driving, (1 - eta1) * tau + sign * bf1, (1 - 1 / eta2) * tau + sign * bf2)
+    run = sliding(campaign, _values(ours), 10.0)
+    forward, driving, deviation = run.w > 0, run.w * run.tau >= 0, np.abs(run.friction - run.law())
     rows = []
     for where, formula, chosen in (
         ("ω_W > 0, τ_W ≥ 0", "(1 − η_mf1) τ_W + \\|τ_bf1\\|", forward & driving),
@@ -185,5 +176,5 @@ def _quadrants(campaign: Campaign, ours: Result) -> list[tuple[str, ...]]:
         ("ω_W < 0, τ_W ≥ 0", "(1 − 1/η_mf2) τ_W − \\|τ_bf2\\|", ~forward & ~driving),
         ("ω_W < 0, τ_W < 0", "(1 − η_mf1) τ_W − \\|τ_bf1\\|", ~forward & driving),
     ):
-        rows.append((where, formula, str(chosen.sum()), f"{np.max(np.abs(friction - law)[chosen]):.1e}"))
+        rows.append((where, formula, str(chosen.sum()), f"{np.max(deviation[chosen]):.1e}"))
     return rows
