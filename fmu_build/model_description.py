@@ -14,6 +14,8 @@ from fmu_build.errors import BuildError
 from fmu_build.model import BASE_UNITS, CompiledModel, Unit, Variable
 
 FmiVersion = Literal[2, 3]
+STARTS_SETTABLE = "fmuid.starts-settable"
+"""Annotation: the start value of every state can be set, also if it follows from parameters."""
 GENERATION_TOOL = "fmuid"
 
 
@@ -226,6 +228,7 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     types = _types(root, model, 2)
     _log_categories(root)
     _experiment(root, model)
+    _element(_element(root, "VendorAnnotations"), "Tool", name=STARTS_SETTABLE)
 
     index = {v.name: i for i, v in enumerate(model.variables, start=1)}
     parent = _element(root, "ModelVariables")
@@ -305,4 +308,5 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
                 _dependencies(element, v, reference)
     for indicator in indicators:
         _element(structure, "EventIndicator", valueReference=indicator)
+    _element(_element(root, "Annotations"), "Annotation", type=STARTS_SETTABLE)
     return root

@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
+from collections.abc import Collection
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -151,12 +152,13 @@ def _text(value: str) -> str:
     return f'"{escaped}"'
 
 
-def _settable(v: Variable) -> str:
+def _settable(v: Variable, of_states: Collection[str]) -> str:
     if v.causality == "input":
         return "SETTABLE_INPUT"
     if v.causality == "parameter" and v.location.vector == "p":
         return "SETTABLE_TUNABLE" if v.variability == "tunable" else "SETTABLE_FIXED"
-    if v.location.vector == "x" and v.initial in ("exact", "approx"):
+    # A start value that follows from parameters gives way to one that is set, for runs that begin anywhere.
+    if v.name in of_states or (v.location.vector == "x" and v.initial in ("exact", "approx")):
         return "SETTABLE_START"
     return "SETTABLE_NO"
 
@@ -169,12 +171,13 @@ def configuration(model: CompiledModel, guid: str) -> str:
 
     constants: list[float] = []
     entries = []
+    of_states = {v.name for v in states(model)}
     for v in model.variables:
         index = v.location.index
         if v.location.vector == "constant":
             index = len(constants)
             constants.append(v.start if v.start is not None else 0.0)
-        vector, settable = f"VECTOR_{v.location.vector.upper()}", _settable(v)
+        vector, settable = f"VECTOR_{v.location.vector.upper()}", _settable(v, of_states)
         kind = f"TYPE_{v.type.upper()}"
         entries.append(f"{{{vector}, {index}, {v.location.sign}, {kind}, {settable}, {_text(v.name)}}}")
     # FMI 3.0 reads event indicators as variables too: they follow the model's own.

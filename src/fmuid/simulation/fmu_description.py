@@ -15,6 +15,8 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from zipfile import ZipFile
 
+from fmu_build.model_description import STARTS_SETTABLE
+
 _TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")  # of FMI 2.0, inside ScalarVariable
 _ACTUAL = {"structuralParameter": "exact", "parameter": "exact", "calculatedParameter": "calculated"}
 _SIGNALS = {"input": "exact", "output": "calculated", "local": "calculated"}
@@ -69,7 +71,8 @@ class FmuDescription:
     """A model description; see `read_description`.
 
     `outputs` maps each output to the inputs on which it depends without delay, None if not stated. `states` are
-    the names of the continuous states, if stated, and `n_states` is their number including all elements.
+    the names of the continuous states, if stated, and `n_states` is their number including all elements. If
+    `starts_settable`, even start values of states that follow from parameters can be set.
     `default_experiment` contains those of ``start``, ``stop``, ``step`` and ``tolerance`` that are given.
     """
 
@@ -85,6 +88,7 @@ class FmuDescription:
     states: tuple[str, ...]
     n_states: int
     n_indicators: int
+    starts_settable: bool = False
 
 
 def read_description(path: Path) -> FmuDescription:
@@ -140,6 +144,11 @@ def read_description(path: Path) -> FmuDescription:
             else tuple(_known(known, k).name for k in d.split())
             for v, u in found["outputs"]
         },
+        starts_settable=any(
+            e.get(key) == STARTS_SETTABLE
+            for place, key in (("VendorAnnotations/Tool", "name"), ("Annotations/Annotation", "type"))
+            for e in root.findall(place)
+        ),
         states=tuple(_known(known, v.derivative).name for v, _ in found["derivatives"] if v.derivative),
         n_states=sum(math.prod(v.shape) for v, _ in found["derivatives"]),
         n_indicators=(

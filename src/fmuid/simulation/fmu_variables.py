@@ -118,10 +118,11 @@ def read_variables(
     """
     variables: dict[str, Variable] = {}
     slots: dict[str, Slot] = {}
+    computed = set(description.states if description.starts_settable else ())
     for v in description.variables:
         suffix, storage = _STORAGE[version].get(v.type, (None, 0))
         low, high = (_number(bound) if suffix else math.nan for bound in (v.minimum, v.maximum))
-        size = math.prod(v.shape)
+        size, refusal = math.prod(v.shape), None if v.name in computed else _refusal(v)
         if not 0 <= v.reference < 2**32:
             what = f"variable '{v.name}' has the value reference {v.reference}"
             raise FmuError(what, where=where, fix="export it again: FMI allows 0 to 4294967295")
@@ -151,9 +152,9 @@ def read_variables(
                 element=i,
                 size=size,
                 starts=tuple(starts),
-                refusal=_refusal(v) if suffix else f"is a {v.type}, not a number",
+                refusal=refusal if suffix else f"is a {v.type}, not a number",
                 whole_numbers=storage > 1,
-                exact=v.initial == "exact",
+                exact=v.initial == "exact" or (v.name in computed and v.initial == "calculated"),
             )
     return variables, slots
 

@@ -479,7 +479,7 @@ def states_of(simulator: Simulator) -> tuple[str, ...]:
     if refused:
         raise ProblemError(
             f"the state '{refused[0]}' cannot be started from a given value: the FMU calculates it",
-            fix="give it a start value with fixed = true in the model instead of an initial equation",
+            fix="give it a number as start value, with fixed = true, instead of an initial equation or parameter",
         )
     return states
 
