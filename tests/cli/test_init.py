@@ -16,7 +16,8 @@ from benchmarks.abroad.logs import Recording, write_logs
 from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
 from benchmarks.abroad.shaker import SHAKER
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.campaigns.first_choice import independent_columns, is_drawn
+from fmuid.campaigns.first_choice import independent_columns
+from fmuid.campaigns.known_values import is_drawn
 from fmuid.campaigns.new_campaign import match_columns
 from fmuid.cli.app import run
 from fmuid.core.experiments import Measurements

@@ -87,6 +87,7 @@ class _ParameterTable(Table):
     known: bool = False
     tolerance: float | None = None
     starts: dict[str, Any] = msgspec.field(default_factory=dict)
+    depends_on: list[str] = []
 
 
 class _PriorTable(Table):
@@ -579,6 +580,7 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
                 fix="move the start or the bounds",
             )
     own = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
+    own["depends_on"] = tuple(table.depends_on)
     return ParameterSpec(name=name, **own)
 
 

@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmuid.campaigns.seen_run import ports_of, seen_run
+from fmuid.campaigns.known_values import (
+    DEFAULT,
+    ModelText,
+    is_drawn,
+    plausible_change,
+    table_entries,
+    why_known,
+)
+from fmuid.campaigns.seen_run import in_segments, seen_run
 from fmuid.campaigns.timing import Convention, LostRow, chosen, lost_rows, timed, timing_conventions
 from fmuid.core.errors import FmuidError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
-from fmuid.core.units import convertible
 from fmuid.simulation.runners import Runner
-from fmuid.simulation.segmented import Growth, Segmented, open_loop
-from fmuid.simulation.simulator import Simulator, Task, Variable
+from fmuid.simulation.segmented import Growth, open_loop
+from fmuid.simulation.simulator import Simulator, Variable
 
 _MAX_RUNS = 3
 _MAX_CANDIDATES = 60  # parameters whose effect is simulated
-_DRAWN = ("m", "m2", "m3", "rad", "1")  # units of quantities that a drawing shows
 _LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do not explain
 _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
+_DEPENDS = 0.05  # relative change of an estimate with a fixed value
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 
 NO_EFFECT = "does not affect any measured output"
@@ -47,12 +54,15 @@ class FirstChoice:
         Timing of the signals.
     lost
         Rows that logs seem to have lost.
+    depends
+        Free parameter -> fixed ones on whose values its estimate depends.
     """
 
     free: tuple[Variable, ...]
     held: Mapping[str, tuple[Variable, ...]]
     timing: Convention
     lost: tuple[LostRow, ...] = ()
+    depends: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def first_choice(
@@ -61,49 +71,91 @@ def first_choice(
     mapping: Mapping[str, str],
     progress: Callable[[float], None] | None,
     runner: Runner,
+    *,
+    text: ModelText | None = None,
+    away: bool = False,
 ) -> FirstChoice:
     """Choose by the sensitivities of the first three runs at the start values.
 
     Parameters with independent effects on the outputs are free (QR with column pivoting of the relative
     sensitivities). Lengths and ratios come last: if one is redundant with parameters that only measurements can
-    show, it is fixed, because it is known from drawings. See `fmuid.campaigns.timing` for the
-    timing of the signals.
+    show, it is fixed, because it is known from drawings. What `fmuid.campaigns.known_values` knows is fixed, too.
+    See `fmuid.campaigns.timing` for the timing of the signals.
+
+    Parameters
+    ----------
+    text
+        The model's source.
+    away
+        Whether the runs diverge in open loop: the effects are then those within segments.
     """
     parameters = [
         v
         for v in model.variables.values()
         if v.causality == "parameter" and v.type in ("Real", "Float64") and v.start is not None
     ]
-    candidates = [v for v in parameters if v.start]
+    known = _known_parameters(parameters, text or ModelText())
+    candidates = [v for v in parameters if v.start and v.name not in known]
     tried = candidates[:_MAX_CANDIDATES]
-    seen = [seen_run(model, run, mapping, runner) for run in runs[:_MAX_RUNS]]
+    seen = [seen_run(model, run, mapping, runner, segments=away) for run in runs[:_MAX_RUNS]]
     steps, done = len(seen) * len(tried), itertools.count()
     tell = None if progress is None else lambda: progress(next(done) / steps)
     every = [one.effects(tried, tell) for one in seen]
     names = [v.name for v in tried if all(v.name in own for own in every)]
-    effects = {name: np.concatenate([own[name].ravel() for own in every]) for name in names}
+    changes = {v.name: plausible_change(v) for v in tried}
+    effects = {n: np.concatenate([changes[n] * own[n].ravel() for own in every]) for n in names}
     drawn = {v.name for v in tried if is_drawn(v)}
     free = tuple(model.variables[n] for n in independent_columns(effects, last=drawn))
-    held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, CONSTRUCTION, NO_EFFECT, NOT_TRIED, FROM_ZERO)}
+    held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, CONSTRUCTION)}
     least = _LEAST_EFFECT * max((float(np.linalg.norm(e)) for e in effects.values()), default=0.0)
     for variable in parameters:
-        if variable in free:
-            continue
-        effect = effects.get(variable.name)
-        if not variable.start:
-            reason = FROM_ZERO
-        elif effect is None:
-            reason = NOT_TRIED
-        elif float(np.linalg.norm(effect)) <= least:
-            reason = NO_EFFECT
-        else:
-            reason = CONSTRUCTION if variable.name in drawn else EXPLAINED
-        held[reason].append(variable)
+        if variable not in free:
+            reason = known.get(variable.name) or _why_held(variable, effects, least, drawn)
+            held.setdefault(reason, []).append(variable)
+    of_held = {v.name: effects[v.name] for r in (EXPLAINED, CONSTRUCTION) for v in held[r]}
+    depends = dependence({v.name: effects[v.name] for v in free}, of_held)
     timing, lost = Convention("held"), tuple[LostRow, ...]()
-    if free:
+    if free and not away:
         timing = chosen(timing_conventions(seen, free))
         lost = lost_rows([timed(one, timing) for one in seen], [run.id for run in runs[:_MAX_RUNS]], free)
-    return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, timing, lost)
+    return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, timing, lost, depends)
+
+
+def _known_parameters(parameters: Sequence[Variable], text: ModelText) -> dict[str, str]:
+    """Return why the values of parameters are known, by name; defaults count only if something else remains."""
+    tables = table_entries(parameters)
+    known = {v.name: reason for v in parameters if (reason := why_known(v, text, tables)) is not None}
+    if any(v.start and v.name not in known for v in parameters):
+        return known
+    return {name: reason for name, reason in known.items() if reason != DEFAULT}
+
+
+def _why_held(variable: Variable, effects: Mapping[str, FloatArray], least: float, drawn: Collection[str]) -> str:
+    effect = effects.get(variable.name)
+    if not variable.start:
+        return FROM_ZERO
+    if effect is None:
+        return NOT_TRIED
+    if float(np.linalg.norm(effect)) <= least:
+        return NO_EFFECT
+    return CONSTRUCTION if variable.name in drawn else EXPLAINED
+
+
+def dependence(free: Mapping[str, FloatArray], held: Mapping[str, FloatArray]) -> dict[str, tuple[str, ...]]:
+    """Return the fixed parameters on which the estimate of each free one depends, by name.
+
+    An estimate depends on a fixed value if it changes by more than a twentieth of the relative change of that
+    value when all free parameters are fitted.
+    """
+    if not free or not held:
+        return {}
+    columns = np.stack(list(free.values()), axis=1)
+    shares = np.linalg.lstsq(columns, np.stack(list(held.values()), axis=1), rcond=None)[0]
+    found = {
+        name: tuple(other for other, share in zip(held, row, strict=True) if abs(share) > _DEPENDS)
+        for name, row in zip(free, shares, strict=True)
+    }
+    return {name: others for name, others in found.items() if others}
 
 
 def solver_error(
@@ -124,26 +176,12 @@ def solver_error(
 
 def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str, str]) -> Growth | None:
     """Return the growth of errors in the longest run if it is too large for an open-loop simulation."""
-    run = max(runs, key=lambda run: float(np.ptp(run.time)))
-    inputs, measured = ports_of(model, run, mapping)
-    task = Task(run.time, inputs, tuple(measured))
-    values = np.array(list(measured.values()))
     try:
-        whole = Segmented(model, task, "auto", target=values, weight=np.isfinite(values).astype(np.float64), at={})
+        whole = in_segments(model, max(runs, key=lambda run: float(np.ptp(run.time))), mapping)
     except ProblemError:  # a model that cannot be started anywhere
         return None
     found = open_loop(whole)
     return found if found is not None and found.runs_away else None
-
-
-def is_drawn(parameter: Variable) -> bool:
-    """Return whether a parameter is a length, an area, a volume, an angle or a plain number.
-
-    Elements of tables, such as the efficiencies in a gear's loss table, are none of these.
-    """
-    if "," in parameter.name:
-        return False
-    return parameter.unit is None or any(convertible(parameter.unit, unit) for unit in _DRAWN)
 
 
 def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str] = ()) -> list[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
+from fmuid.campaigns.known_values import ModelText, guessed_bounds, is_temperature
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements
@@ -131,7 +133,8 @@ def new_campaign(
         guesses.append(
             f"model exchange: the solver inside {fmu.name} is off by {100 * error:.2g} % of an output's range"
         )
-    choice = first_choice(model, used, mapping, progress, runner)
+    away = runs_away(model, used, mapping)
+    choice = first_choice(model, used, mapping, progress, runner, text=ModelText(source), away=away is not None)
     if not choice.free:
         raise CampaignError(
             f"no parameter of {fmu.name} affects a measured output",
@@ -139,7 +142,6 @@ def new_campaign(
             fix="check inputs and outputs",
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
-    away = runs_away(model, used, mapping)
     if away is not None:
         guesses.append(f"runs are cut into segments, because the simulation diverges in open loop ({away})")
     write_measurements(Measurements(runs), folder / "measurements.h5")
@@ -268,10 +270,18 @@ def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
     lines += map(str, choice.lost)
     lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
     for reason, variables in choice.held.items():
-        names = [v.name for v in variables]
+        names = _collapsed(variables)
         more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
         lines.append(f"fixed: {', '.join(names[:_MAX_NAMES])}{more} ({reason})")
     return lines
+
+
+def _collapsed(variables: Sequence[Variable]) -> list[str]:
+    """Return names, those of elements of one array as one entry with their number."""
+    arrays = Counter(v.name.partition("[")[0] for v in variables if "[" in v.name)
+    names = {v.name: v.name.partition("[")[0] for v in variables}
+    shown = (f"{n} ({arrays[n]} entries)" if n in arrays and n != name else name for name, n in names.items())
+    return list(dict.fromkeys(shown))
 
 
 def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variable]) -> list[str]:
@@ -334,7 +344,7 @@ def _toml(
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]
     for variable in choice.free:
-        lines += _parameter_lines(variable)
+        lines += _parameter_lines(variable, choice.depends.get(variable.name, ()))
     if choice.held:
         lines += ["# Fixed at the FMU's start value; uncomment to identify it too.", ""]
     for reason, variables in choice.held.items():
@@ -368,21 +378,22 @@ def _signal_lines(mapping: Mapping[str, str], timings: Mapping[str, Timing]) -> 
     return lines
 
 
-def _parameter_lines(variable: Variable) -> list[str]:
-    start = variable.start or 0.0
-    low, high = (start / 10, start * 10) if start > 0 else (start * 10, -start * 10)
-    low = max(low, variable.min if variable.min is not None else low)
-    high = min(high, variable.max if variable.max is not None else high)
+def _parameter_lines(variable: Variable, depends: Sequence[str] = ()) -> list[str]:
+    low, high = guessed_bounds(variable)
     lines = [f"[parameters.{toml_text(variable.name)}]"]
     if variable.description:
         lines[0] += f" # {' '.join(variable.description.split())}"
-    lines += [f"start = {start!r}"]
+    lines += [f"start = {variable.start or 0.0!r}"]
     if low < high:
         lines += [f"lower = {low!r}", f"upper = {high!r}"]
     if variable.unit:
         lines.append(f"unit = {toml_text(variable.unit)}")
-    if low > 0:
+    if low > 0 and not is_temperature(variable):
         lines.append('scale = "log"')
+    if depends:
+        lines.append(
+            f"depends_on = [{', '.join(map(toml_text, depends))}] # fixed values that its estimate rests on"
+        )
     return [*lines, ""]
 
 

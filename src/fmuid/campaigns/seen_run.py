@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fmuid.campaigns.known_values import guessed_bounds
 from fmuid.core.campaign import Interpolation
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
@@ -15,10 +16,11 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
 from fmuid.identification.solvers.trust_region import trust_region
 from fmuid.simulation.runners import Runner, simulated
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 
 _STEP = 0.01  # relative change of a parameter for estimating its effect
-_WITHIN = 10.0  # factor by which parameters may differ from their start values, as in a first campaign
+_LEAST_FACTOR = 0.1  # to the start value, for ranges that include 0
 _CONVERGED = 1e-2  # relative change of the squared error that ends a refit
 
 
@@ -110,8 +112,9 @@ class SeenRun:
         return np.asarray((above - below) / self.scale / (2 * _STEP))
 
     def refitted(self, free: Sequence[Variable]) -> SeenRun:
-        """Return the run where these parameters explain it best, each within a factor of ten of its value."""
-        start, most = np.zeros(len(free)), np.full(len(free), np.log(_WITHIN))
+        """Return the run where these parameters explain it best, each within its guessed bounds."""
+        start = np.zeros(len(free))
+        low, high = np.array([_reach(v) for v in free]).reshape(-1, 2).T
         known, tried = np.isfinite(self._measured), dict[bytes, SeenRun | None]({start.tobytes(): self})
 
         def at(x: FloatArray) -> SeenRun | None:
@@ -130,7 +133,7 @@ class SeenRun:
         def jacobian(x: FloatArray) -> FloatArray:
             return -(at(x) or self)._columns(free)
 
-        trust_region(residuals, jacobian, start, -most, most, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
+        trust_region(residuals, jacobian, start, low, high, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
         return min((one for one in tried.values() if one is not None), key=lambda one: one.left)
 
     def towards(self, other: SeenRun, free: Sequence[Variable]) -> tuple[float, float]:
@@ -159,6 +162,12 @@ class SeenRun:
         return np.asarray((self._measured - self.nominal) / self.scale)
 
 
+def _reach(parameter: Variable) -> tuple[float, float]:
+    """Return the logarithms of the smallest and the largest factor to a parameter's start value."""
+    low, high = sorted(bound / (parameter.start or 1.0) for bound in guessed_bounds(parameter))
+    return min(float(np.log(max(low, _LEAST_FACTOR))), -1e-9), max(float(np.log(max(high, 1.0))), 1e-9)
+
+
 def ports_of(
     model: Simulator, run: Experiment, mapping: Mapping[str, str]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
@@ -170,7 +179,25 @@ def ports_of(
     return found
 
 
-def seen_run(model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner) -> SeenRun:
-    """Return a run with the response of a model at its start values."""
+def seen_run(
+    model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner, *, segments: bool = False
+) -> SeenRun:
+    """Return a run with the response of a model at its start values, in segments if that is asked for."""
     inputs, measured = ports_of(model, run, mapping)
+    if segments:
+        model = in_segments(model, run, mapping)
     return SeenRun(model, Task(run.time, inputs, tuple(measured)), np.array(list(measured.values())), runner)
+
+
+def in_segments(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -> Segmented:
+    """Return a model that is restarted along a run, in segments that suit it.
+
+    Raises
+    ------
+    ProblemError
+        The states of the model cannot be set.
+    """
+    inputs, measured = ports_of(model, run, mapping)
+    values = np.array(list(measured.values()))
+    known = np.isfinite(values).astype(np.float64)
+    return Segmented(model, Task(run.time, inputs, tuple(measured)), "auto", target=values, weight=known, at={})

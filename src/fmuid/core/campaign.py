@@ -140,6 +140,8 @@ class ParameterSpec:
         While the parameter is fixed, a diagnosis trusts its value and does not consider an error in it.
     tolerance
         Otherwise the relative standard deviation of the fixed value.
+    depends_on
+        Names of fixed variables on whose values the estimate depends; for reports.
     """
 
     name: str
@@ -156,6 +158,7 @@ class ParameterSpec:
     known: bool = False
     tolerance: float | None = None
     starts: Mapping[str, float] = field(default_factory=dict, hash=False)
+    depends_on: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("start", "lower", "upper"):  # NumPy's numbers are no JSON
