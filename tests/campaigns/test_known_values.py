@@ -22,6 +22,7 @@ from fmuid.campaigns.known_values import (
 )
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource
+from fmuid.identification.result import Result
 from fmuid.simulation.simulator import Variable
 
 CART = """
@@ -138,3 +139,42 @@ def test_init_frees_what_an_engineer_would(
     assert f"fixed: rho ({MEDIUM})" in out
     assert f"fixed: v_r ({REGULARISATION})" in out
     assert f"fixed: table (8 entries) ({TABLE})" in out
+
+
+RUNAWAY = """
+model Ball "on a beam that tilts away under it"
+  parameter Real b(unit = "1/s2") = 12;
+  parameter Real k(unit = "1") = 2;
+  parameter Real x_start(unit = "m") = 0.05;
+  input Real u(unit = "m/s2");
+  output Real x(start = x_start, fixed = true, unit = "m");
+  Real v(start = 0, fixed = true, unit = "m/s");
+equation
+  der(x) = v;
+  der(v) = b*x + k*u;
+end Ball;
+"""
+
+
+def test_a_runaway_plant_is_recognised_although_a_parameter_gives_its_start_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("Ball.mo").write_text(RUNAWAY)
+    random, rows, x, v, u = np.random.default_rng(1), [], 0.02, 0.0, 0.0
+    for k in range(800):  # a controller holds it
+        u = u if k % 2 else -9.0 * x - 2.5 * v + 0.6 * np.sign(np.sin(0.05 * k)) + 0.1 * random.normal()
+        rows.append((0.01 * k, u, x + 1e-4 * random.normal()))
+        for _ in range(10):
+            v += 0.001 * (15.0 * x + 2.4 * u)
+            x += 0.001 * v
+    np.savetxt("run.csv", rows, delimiter=",", header="time,u [m/s2],x [m]", comments="")
+    assert run(["init", "run.csv", "--model", "Ball.mo", "--workers", "0"]) == 0
+    out = capsys.readouterr().out
+    assert "runs are cut into segments, because the simulation diverges in open loop" in out
+    assert "fixed: x_start (does not affect any measured output)" in out
+    assert load_campaign("campaign").stages["all"].segments == "auto"
+    assert run(["identify", "campaign", "--no-report", "--quiet", "--workers", "0"]) == 0
+    found = Result.from_json("runs/campaign")
+    assert found["b"].value == pytest.approx(15.0, rel=0.05)
+    assert found["k"].value == pytest.approx(2.4, rel=0.05)

@@ -119,7 +119,7 @@ def identify(
     if result.status not in (Status.INTERRUPTED, Status.FAILED):
         unexplained = any("run fmuid diagnose" in warning for stage in result.stages for warning in stage.warnings)
         why = "what the model misses" if unexplained else "whether the model misses something"
-        printer.next(shlex.join(["fmuid", "diagnose", str(campaign)]), why)
+        printer.next(shlex.join(["fmuid", "diagnose", str(folder)]), why)
     printer.write(summary)
     return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
 

@@ -362,6 +362,7 @@ def _result(
                 spec.description,
                 None if found is None or found.standard_errors[i] is None else found.inherited_shares[i],
                 free.scale,
+                tuple(n for n in spec.depends_on if n not in values),
             )
         )
     for name in problem.space.ties:

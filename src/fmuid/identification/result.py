@@ -49,7 +49,8 @@ class Estimate:
 
     `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter alone, or
     where it sits at a bound. `inherited` is the share of its variance due to errors of parameters fixed at earlier
-    estimates. `truth` is the true value on the rig, if known.
+    estimates. `truth` is the true value on the rig, if known. `depends_on` names fixed variables on whose values
+    the estimate depends.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Estimate:
     description: str = ""
     inherited: float | None = None
     scale: str = "linear"
+    depends_on: tuple[str, ...] = ()
 
     @property
     def relative_error(self) -> float | None:
@@ -341,7 +343,9 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
     with_inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in estimates)
     header = ["parameter", "value", "unit", "standard error", "95 % interval"]
     header += ["inherited"] if with_inherited else []
-    rows = [[*header, "start", *(["truth", "deviation"] if with_truth else [])]]
+    with_fixed = any(e.depends_on for e in estimates)
+    header += ["start", *(["truth", "deviation"] if with_truth else [])]
+    rows = [[*header, *(["given the values of"] if with_fixed else [])]]
     for e in estimates:
         error = f"at its {e.at_bound} bound" if e.at_bound else "–"  # the warnings say why
         row = [
@@ -360,6 +364,7 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
                 "" if e.truth is None else f"{e.truth:.6g}",
                 "" if deviation is None else f"{100.0 * deviation:+.2f} %",
             ]
+        row += [", ".join(e.depends_on)] if with_fixed else []
         rows.append(row)
     return rows
 

@@ -224,7 +224,9 @@ def _estimates_table(
         if truths:
             row += [e.truth, None if e.relative_error is None else 100 * e.relative_error]
         row += [values.get(e.name) for values in published.values()]
-        row += [stage_of[e.name], f"at its {e.at_bound} bound" if e.at_bound else e.description]
+        note = f"at its {e.at_bound} bound" if e.at_bound else e.description
+        given = f"given the values of {', '.join(e.depends_on)}" if e.depends_on else ""
+        row += [stage_of[e.name], "; ".join(filter(None, [note, given]))]
         rows.append(tuple(row))
     caption = (
         "Standard errors and intervals cover the noise, the colour of the residuals, and the errors of values "
