@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal as Choice
@@ -12,12 +12,13 @@ from typing import cast
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, flat_name, number, variable
 from fmu_build.front.parser import expression as parse_expression
-from fmu_build.model_ports import Port, fed_inputs, find_ports
+from fmu_build.model_ports import Port, coefficients, fed_inputs, find_ports, followers
 from fmu_build.suggest import suggestion
 from fmu_build.syntax import Binary, Call, Expression, Part, Reference, Unary, references, transform
 from fmu_build.written_balances import Share
 
-Acts = Choice["flow", "potential", "signal", "cut"]
+Acts = Choice["flow", "potential", "signal", "cut", "parameter"]
+VALUE = "varying"  # of a coefficient: `R.varying` is the value that takes the place of the parameter `R`
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,12 @@ class Term:
     Attributes
     ----------
     port
-        Name of the port.
+        Name of the port, or of the parameter.
     acts
         ``flow``: a flow out of a node, or out of a branch's second node and into its first; ``potential``: a drop
         of the potential at a branch's first connector; ``signal``: replaces the signal; ``cut``: separates the
-        first connector from its node, and is a flow between the two, driven by their difference ``p``.
+        first connector from its node, and is a flow between the two, driven by their difference ``p``;
+        ``parameter``: replaces the parameter, whose own value is ``p``, in all equations.
     expression
         An expression of the port's quantities, `states`, parameters, ``time`` and any variable by its full name.
     where
@@ -98,14 +100,16 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
         flat = flat.with_variable(Variable(state.name, ADDED, unit=state.unit or None))
     at: dict[tuple[str, Acts], list[Term]] = defaultdict(list)
     for term in terms:
-        if term.port not in ports:
+        if term.port not in ports and term.acts != "parameter":
             raise ModelicaError(
                 f"the model has no port '{term.port}'", where=term.where, fix=suggestion(term.port, ports)
             )
         at[term.port, term.acts].append(term)
     # Equations keep their numbers, so those of a connection are replaced one by one.
     # What acts on written equations, which are known by their numbers, comes before a cut makes two of one.
-    for (name, acts), own in sorted(at.items(), key=lambda one: not ports[one[0][0]].shares):
+    coefficients = {name: own for (name, acts), own in at.items() if acts == "parameter"}
+    elsewhere = {place: own for place, own in at.items() if place[1] != "parameter"}
+    for (name, acts), own in sorted(elsewhere.items(), key=lambda one: not ports[one[0][0]].shares):
         port = ports[name]
         if acts == "flow" or port.kind == "loop":
             flat = _with_flow(flat, port, own)
@@ -115,6 +119,8 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
             flat = _with_cut(flat, port, own)
         else:
             flat = _with_signal(flat, port, own)
+    for name, own in coefficients.items():
+        flat = _with_coefficient(flat, name, own)
     return flat
 
 
@@ -297,6 +303,60 @@ def _partner(equation: Equation, inner: str) -> Expression:
     if isinstance(right, Binary):  # left = inner - drop
         return Binary(ADDED, "+", left, right.right)
     return left
+
+
+def _with_coefficient(flat: FlatModel, name: str, terms: Sequence[Term]) -> FlatModel:
+    """Put a variable in the place of a parameter, with laws applied to the parameter's value one after the other.
+
+    Parameters that are computed from it follow.
+    """
+    known = {c.name for c in coefficients(flat)}
+    if name not in known:
+        what = f"'{name}' is not a parameter that acts in the model's equations"
+        raise ModelicaError(what, where=terms[0].where, fix=suggestion(name, known))
+    value: Expression = variable(name)
+    own = f"{name}.{VALUE}"
+    while own in flat.variables:  # of an earlier diagnosis
+        own += "_"
+    before = flat
+    flat = _replaced(flat, {name: variable(own), **_followers(flat, name, variable(own))})
+    flat = flat.with_variable(Variable(own, ADDED, unit=before.variables[name].unit))
+    for term in terms:
+        quantities = {"p": value}
+        flat = _with_states(flat, [term], quantities)
+        value = _expression(flat, term, quantities)
+    return flat.with_equation(variable(own), value)
+
+
+def _followers(flat: FlatModel, name: str, value: Expression) -> dict[str, Expression]:
+    """Return the parameters that are computed from a parameter, as expressions of what takes its place."""
+    found: dict[str, Expression] = {}
+    for follower in followers(flat, name):
+        binding = flat.variables[follower].binding
+        found[follower] = cast(Expression, transform(binding, _exchange({name: value, **found})))
+    return found
+
+
+def _exchange(new: Mapping[str, Expression]) -> Callable[[Expression], Expression]:
+    return lambda node: new.get(flat_name(node), node) if isinstance(node, Reference) else node
+
+
+def _replaced(flat: FlatModel, new: Mapping[str, Expression]) -> FlatModel:
+    """Exchange parameters in all that holds over time."""
+    change = _exchange(new)
+
+    def of(equations: Iterable[Equation]) -> tuple[Equation, ...]:
+        return tuple(replace(e, left=transform(e.left, change), right=transform(e.right, change)) for e in equations)
+
+    variables = {
+        n: replace(v, binding=transform(v.binding, change)) if v.variability == "continuous" else v
+        for n, v in flat.variables.items()
+    }
+    algorithms = tuple(replace(a, statements=transform(a.statements, change)) for a in flat.algorithms)
+    return replace(
+        flat, variables=MappingProxyType(variables), equations=of(flat.equations), algorithms=algorithms,
+        whens=transform(flat.whens, change),
+    )  # fmt: skip
 
 
 def _with_signal(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatModel:

@@ -116,6 +116,64 @@ def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Coefficient:
+    """A parameter that acts in equations.
+
+    Attributes
+    ----------
+    components
+        Components in whose equations it, or a parameter computed from it, acts.
+    variables
+        The continuous variables in these equations.
+    """
+
+    name: str
+    unit: str
+    components: tuple[str, ...]
+    variables: tuple[str, ...]
+
+
+def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
+    """Return the real scalar parameters that act in equations and may be replaced by a variable there."""
+    sides = [(e.origin.component, (e.left, e.right)) for e in flat.equations]
+    sides += [(flat.variables[n].component, (variable(n), binding)) for n, binding in flat.bindings()]
+    inside = [(component, {flat_name(r) for r in references(parts)}) for component, parts in sides]
+    found = []
+    for v in held_parameters(flat):
+        names = {v.name, *followers(flat, v.name)}
+        if any(flat.variables[n].shape or n in flat.structural or flat.variables[n].evaluate for n in names):
+            continue
+        own = [(component, used) for component, used in inside if used & names]
+        near = dict.fromkeys(n for _, used in own for n in sorted(used) if _is_continuous(flat, n))
+        if near:
+            components = tuple(dict.fromkeys(component for component, _ in own))
+            found.append(Coefficient(v.name, v.unit or "1", components, tuple(near)))
+    return tuple(found)
+
+
+def _is_continuous(flat: FlatModel, name: str) -> bool:
+    v = flat.variables.get(name)
+    return v is not None and v.type == "Real" and v.variability == "continuous" and not v.shape
+
+
+def followers(flat: FlatModel, name: str) -> tuple[str, ...]:
+    """Return the parameters whose values are computed from a parameter's, each after those that it needs."""
+    uses = {
+        v.name: {flat_name(r) for r in references(v.binding)}
+        for v in flat.variables.values()
+        if v.variability == "parameter" and v.binding is not None
+    }
+    reached, wider = {name}, {name}
+    while wider:
+        wider = {n for n, used in uses.items() if used & reached} - reached
+        reached |= wider
+    found = [name]
+    while ready := [n for n in uses if n in reached and n not in found and uses[n] & reached <= {*found}]:
+        found += ready
+    return tuple(found[1:])
+
+
 def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Reference]]:
     """Yield every component's input that a connection or an equation outside it sets equal to one other variable.
 
