@@ -1,0 +1,224 @@
+"""Linear response of a model's outputs to parameters that vary during a run.
+
+A model is linearised along a simulated run: its Jacobians at the samples give, for every course of a parameter,
+the course of each output. Any number of courses costs little more than one, so that many dependences of many
+parameters can be compared before a model with one of them is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+
+from fmu_build.model import CompiledModel, Variable
+from fmuid.core.immutable import FloatArray
+
+_NEWTON = 6  # iterations for the unknowns of algebraic loops, which the run itself already gives to its tolerance
+_MOST = 1500  # samples of a run at which it is linearised; responses are lines between them
+
+
+@dataclass(frozen=True, eq=False)
+class LinearResponse:
+    """The model along one run.
+
+    Attributes
+    ----------
+    time
+        (N,) times of the samples of the run.
+    knots
+        (K,) samples at which it is linearised.
+    transition, driven
+        (K-1, n, n) how states pass on from knot to knot, and (K-1, n, P) what a constant relative change of 1 of
+        each parameter adds.
+    observed, direct
+        (K, q, n) and (K, q, P) derivatives of the outputs by the states, and by the relative changes.
+    """
+
+    time: FloatArray
+    knots: FloatArray
+    transition: FloatArray
+    driven: FloatArray
+    observed: FloatArray
+    direct: FloatArray
+
+    def to(self, parameter: int, courses: FloatArray) -> FloatArray:
+        """Return the (R, q, N) response of the outputs to (R, N) courses of a parameter's relative change."""
+        own = courses[:, self.knots.astype(np.intp)]
+        middle = 0.5 * (own[:, 1:] + own[:, :-1])
+        states = np.zeros((len(self.knots), self.transition.shape[-1], len(courses)))
+        for k, (step, add) in enumerate(zip(self.transition, self.driven[:, :, parameter], strict=True)):
+            states[k + 1] = step @ states[k] + add[:, None] * middle[:, k]
+        found = self.observed @ states + self.direct[:, :, parameter, None] * own.T[:, None, :]  # (K, q, R)
+        at = self.time[self.knots.astype(np.intp)]
+        return np.array([[np.interp(self.time, at, row) for row in one] for one in found.transpose(2, 1, 0)])
+
+
+class Linearised:
+    """A compiled model whose Jacobians are evaluated along runs.
+
+    Parameters
+    ----------
+    model
+        The model.
+    parameters
+        Names of the parameters that vary.
+    """
+
+    def __init__(self, model: CompiledModel, parameters: Sequence[str]) -> None:
+        self._model = model
+        self._by_name = {v.name: v for v in model.variables}
+        self.parameters = [p for p in parameters if self._place(p, "p") is not None]
+
+    def _place(self, name: str, vector: str) -> int | None:
+        v = self._by_name.get(name)
+        return v.location.index if v is not None and v.location.vector == vector else None
+
+    @cached_property
+    def _stored(self) -> Mapping[str, list[Variable]]:
+        """The variable that shows each entry of the vectors of states, inputs and loop unknowns."""
+        found: dict[str, list[Variable]] = {}
+        for vector, size in (("x", self._model.n_x), ("u", self._model.n_u), ("y", self._model.n_y)):
+            shown: dict[int, Variable] = {}
+            for v in self._model.variables:
+                if v.location.vector == vector and (v.location.index not in shown or v.causality == "input"):
+                    shown[v.location.index] = v
+            found[vector] = [shown[i] for i in range(size) if i in shown]
+        return found
+
+    @property
+    def states(self) -> list[str]:
+        """Names of the states."""
+        return [v.name for v in self._stored["x"]]
+
+    @property
+    def needed(self) -> list[str]:
+        """Variables whose courses linearisation needs."""
+        return [v.name for vector in ("x", "y") for v in self._stored[vector]]
+
+    def kind(self, name: str) -> str:
+        """Return the vector in which a variable is stored: x, u, p, v ...; empty if the model lacks it."""
+        v = self._by_name.get(name)
+        return "" if v is None else v.location.vector
+
+    def along(
+        self,
+        time: FloatArray,
+        courses: Mapping[str, FloatArray],
+        values: Mapping[str, float],
+        outputs: Sequence[str],
+    ) -> LinearResponse:
+        """Linearise the model along a run.
+
+        Parameters
+        ----------
+        time
+            (N,) times.
+        courses
+            (N,) values of the states, inputs and unknowns of loops, by variable.
+        values
+            Values of parameters that differ from the model's own.
+        outputs
+            Variables whose responses are wanted.
+        """
+        m, f = self._model, self._model.functions
+        stride = -(-len(time) // _MOST)
+        knots = np.unique([*range(0, len(time), stride), len(time) - 1])
+        n = len(knots)
+
+        def rows(vector: str, size: int) -> FloatArray:
+            found = np.zeros((size, n))
+            for v in self._stored[vector]:
+                value = courses[v.name][knots] if v.name in courses else np.full(n, v.start or 0.0)
+                found[v.location.index] = v.location.sign * value
+            return found
+
+        p = np.zeros(m.n_p)
+        for v in m.variables:
+            if v.location.vector == "p":
+                p[v.location.index] = v.location.sign * values.get(v.name, v.start or 0.0)
+        d = np.array(f["dependent"](p)).ravel()
+        z = np.array(f["start"](p, d)[1]).ravel()
+        wide = [np.repeat(a[:, None], n, axis=1) for a in (p, d, z, z)]
+        environment = [time[knots][None, :], rows("x", m.n_x), rows("u", m.n_u), *wide, np.zeros((m.n_m, n)), rows("y", m.n_y)]
+        if m.n_m:
+            environment[7] = (_evaluated(f["indicators"], environment)[0] > 0.0).astype(float)
+        for _ in range(_NEWTON if m.n_y else 0):
+            r, slope, _ = _matrices(f["loop"], environment)
+            environment[8] = environment[8] - np.linalg.solve(slope, r)[..., 0].T
+        return self._assembled(time, knots, environment, p, outputs)
+
+    def _assembled(
+        self, time: FloatArray, knots: FloatArray, environment: list[FloatArray], p: FloatArray, outputs: Sequence[str]
+    ) -> LinearResponse:
+        m, f = self._model, self._model.functions
+        n, nx, ny = len(knots), m.n_x, m.n_y
+        _, jacobian, _ = _matrices(f["jacobian"], environment)  # (n, nx + ny, nx + ny)
+        zeros = [np.zeros((size, n)) for size in (m.n_z, m.n_z)] if m.n_z else []
+        moved, own = np.zeros((n, nx + ny, len(self.parameters))), []
+        for j, name in enumerate(self.parameters):
+            seed = np.zeros(m.n_p)
+            place = self._by_name[name].location
+            seed[place.index] = p[place.index]  # a relative change
+            followers = np.array(f["dependent_partials"](p, seed)).ravel()
+            own.append([np.repeat(a[:, None], n, axis=1) for a in (seed, followers)])
+            moved[:, :, j] = _evaluated(f["move_partials"], [*environment, *own[-1], *zeros])[0].T
+        # Unknowns of loops follow states and parameters.
+        follow = np.zeros((n, ny, nx + len(self.parameters)))
+        if ny:
+            right = np.concatenate([jacobian[:, nx:, :nx], moved[:, nx:]], axis=2)
+            follow = -np.linalg.solve(jacobian[:, nx:, nx:], right)
+        a = jacobian[:, :nx, :nx] + jacobian[:, :nx, nx:] @ follow[:, :, :nx]
+        b = moved[:, :nx] + jacobian[:, :nx, nx:] @ follow[:, :, nx:]
+        seeds = [np.zeros((size, n)) for size in (nx, m.n_u, m.n_p, m.n_d, ny)]
+
+        def shown(which: int, entry: int) -> FloatArray:
+            along = list(seeds)
+            along[which] = np.zeros_like(seeds[which])
+            along[which][entry] = 1.0
+            return _evaluated(f["variable_partials"], [*environment, *along, *zeros])[0].T
+
+        by_state = np.stack([shown(0, i) for i in range(nx)], axis=2) if nx else np.zeros((n, m.n_v, 0))
+        by_parameter = np.zeros((n, m.n_v, len(self.parameters)))
+        for j, (seed, followers) in enumerate(own):
+            along = [seeds[0], seeds[1], seed, followers, seeds[4]]
+            by_parameter[:, :, j] = _evaluated(f["variable_partials"], [*environment, *along, *zeros])[0].T
+        if ny:
+            by_loop = np.stack([shown(4, i) for i in range(ny)], axis=2)
+            by_state = by_state + by_loop @ follow[:, :, :nx]
+            by_parameter = by_parameter + by_loop @ follow[:, :, nx:]
+        tables = {
+            "x": (np.broadcast_to(np.eye(nx), (n, nx, nx)), np.zeros((n, nx, len(self.parameters)))),
+            "dx": (a, b), "y": (follow[:, :, :nx], follow[:, :, nx:]), "v": (by_state, by_parameter),
+        }  # fmt: skip
+        c, direct = np.zeros((n, len(outputs), nx)), np.zeros((n, len(outputs), len(self.parameters)))
+        for i, name in enumerate(outputs):
+            place = self._by_name[name].location
+            if place.vector in tables:
+                states, parameters = tables[place.vector]
+                c[:, i], direct[:, i] = place.sign * states[:, place.index], place.sign * parameters[:, place.index]
+        step = np.diff(time[knots])[:, None, None]
+        joined = np.zeros((n - 1, 2 * nx, 2 * nx))
+        joined[:, :nx, :nx] = 0.5 * (a[1:] + a[:-1]) * step
+        joined[:, :nx, nx:] = np.eye(nx) * step
+        passed = expm(joined) if nx else joined
+        driven = passed[:, :nx, nx:] @ (0.5 * (b[1:] + b[:-1]))
+        return LinearResponse(time, knots, passed[:, :nx, :nx], driven, c, direct)
+
+
+def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the (size, N) values of a function's vectors for (size, N) columns of its arguments."""
+    n = arguments[0].shape[1]
+    found = function.map(n)(*(ca.DM(a) if a.size else ca.DM(a.shape[0], n) for a in arguments))
+    return [np.asarray(one.full()) for one in (found if isinstance(found, tuple | list) else [found])]
+
+
+def _matrices(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the results of a function for each of N columns of its arguments as (N, rows, columns)."""
+    n = arguments[0].shape[1]
+    return [one.reshape(one.shape[0], n, -1).transpose(1, 0, 2) for one in _evaluated(function, arguments)]

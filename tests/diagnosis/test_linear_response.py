@@ -1,0 +1,45 @@
+"""The linear response to parameters that vary, compared with simulations of the model that has them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_build import compile_flat, load
+from fmu_build.instrument import Added, Term, instrument
+from fmu_build.packaging import package
+from fmuid import load_fmu
+from fmuid.diagnosis.linear_response import Linearised
+from fmuid.simulation.simulator import Task
+
+RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
+
+
+@pytest.mark.parametrize(
+    ("rig", "parameter", "drive", "outputs"),
+    [
+        ("TwoMass", "shaft.c", {"tau": 0.3}, ("w_motor", "w_load")),
+        ("TwoMass", "load.J", {"tau": 0.3}, ("w_motor", "w_load")),
+        ("Circuit", "resistor.R", {"v": 5.0}, ("v_c",)),
+    ],
+)
+def test_the_response_is_that_of_a_simulation(tmp_path, rig, parameter, drive, outputs):
+    flat = load(RIGS, f"Rigs.{rig}")
+    term = Term(parameter, "parameter", "p*(1 + course)")
+    varied = instrument(flat, [term], [Added("course", input=True)])
+    fmu = load_fmu(package(compile_flat(varied), tmp_path / "varied.fmu"))
+    time = np.linspace(0.0, 2.0 if rig == "TwoMass" else 0.05, 801)
+    inputs = {n: a * np.sign(np.sin(6.0 * time / time[-1])) for n, a in drive.items()}
+    course = np.sin(9.0 * time / time[-1]) + 0.3
+    model = Linearised(compile_flat(flat), [parameter])
+
+    def simulated(size, names):
+        return fmu.simulate(Task(time, {**inputs, "course": size * course}, tuple(names), interpolation="linear"), {})
+
+    names = model.needed
+    courses = dict(zip(names, simulated(0.0, names), strict=True)) | inputs
+    response = model.along(time, courses, {}, outputs).to(0, course[None, :])[0]
+    expected = (simulated(1e-3, outputs) - simulated(-1e-3, outputs)) / 2e-3
+    size = np.abs(expected).max(axis=1, keepdims=True)
+    assert np.abs(response - expected).max() < 0.05 * size.max()  # a few samples for each oscillation
+    assert (size > 0.0).all()
