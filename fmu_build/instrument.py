@@ -87,7 +87,7 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
         A term names a port or a variable that does not exist, or is not a Modelica expression.
     """
     ports = {port.name: port for port in find_ports(flat)}
-    for one in added:
+    for one in dict.fromkeys(added):  # terms may share an input
         flat = flat.with_variable(
             Variable(
                 one.name, ADDED, variability="continuous" if one.input else "parameter",
@@ -346,7 +346,9 @@ def _replaced(flat: FlatModel, new: Mapping[str, Expression]) -> FlatModel:
     change = _exchange(new)
 
     def of(equations: Iterable[Equation]) -> tuple[Equation, ...]:
-        return tuple(replace(e, left=transform(e.left, change), right=transform(e.right, change)) for e in equations)
+        return tuple(
+            replace(e, left=transform(e.left, change), right=transform(e.right, change)) for e in equations
+        )
 
     variables = {
         n: replace(v, binding=transform(v.binding, change)) if v.variability == "continuous" else v

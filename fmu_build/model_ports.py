@@ -18,6 +18,7 @@ from typing import Literal as Choice
 
 from fmu_build.domains import MECHANICAL, Domain, alike, domain_of
 from fmu_build.flat_model import (
+    ADDED,
     Connector,
     Equation,
     FlatModel,
@@ -141,6 +142,8 @@ def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
     inside = [(component, {flat_name(r) for r in references(parts)}) for component, parts in sides]
     found = []
     for v in held_parameters(flat):
+        if v.at == ADDED:  # of an effect
+            continue
         names = {v.name, *followers(flat, v.name)}
         if any(flat.variables[n].shape or n in flat.structural or flat.variables[n].evaluate for n in names):
             continue
@@ -150,6 +153,11 @@ def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
             components = tuple(dict.fromkeys(component for component, _ in own))
             found.append(Coefficient(v.name, v.unit or "1", components, tuple(near)))
     return tuple(found)
+
+
+def places(flat: FlatModel) -> dict[str, str]:
+    """Return the kind of each place where a term may act: a port, or a ``parameter``."""
+    return {c.name: "parameter" for c in coefficients(flat)} | {port.name: port.kind for port in find_ports(flat)}
 
 
 def _is_continuous(flat: FlatModel, name: str) -> bool:

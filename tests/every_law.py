@@ -6,7 +6,8 @@ from pathlib import Path
 
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports
-from fmuid.diagnosis.made_catalogue import SIZES, Place, catalogue_text
+from fmuid.diagnosis.laws import SIZES, Place
+from fmuid.diagnosis.made_catalogue import catalogue_text
 from fmuid.effects.effect import Catalogue
 from fmuid.effects.effects_file import load_catalogue
 

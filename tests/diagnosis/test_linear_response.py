@@ -34,7 +34,9 @@ def test_the_response_is_that_of_a_simulation(tmp_path, rig, parameter, drive, o
     model = Linearised(compile_flat(flat), [parameter])
 
     def simulated(size, names):
-        return fmu.simulate(Task(time, {**inputs, "course": size * course}, tuple(names), interpolation="linear"), {})
+        return fmu.simulate(
+            Task(time, {**inputs, "course": size * course}, tuple(names), interpolation="linear"), {}
+        )
 
     names = model.needed
     courses = dict(zip(names, simulated(0.0, names), strict=True)) | inputs

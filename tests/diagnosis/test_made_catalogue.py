@@ -28,10 +28,10 @@ from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import SimulationError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
+from fmuid.diagnosis.laws import laws
 from fmuid.diagnosis.made_catalogue import (
     Held,
     catalogue_text,
-    laws,
     possible_laws,
     sized,
     with_catalogue,

@@ -87,5 +87,5 @@ def test_a_coefficient_may_have_a_memory():
 
 
 def test_what_is_no_coefficient_is_refused():
-    with pytest.raises(ModelicaError, match="'shaft.q' is not a parameter that acts.*did you mean 'shaft.[cd]'"):
+    with pytest.raises(ModelicaError, match=r"'shaft.q' is not a parameter that acts.*did you mean 'shaft.[cd]'"):
         instrument(flat("TwoMass"), *varying("shaft.q", "p"))

@@ -18,7 +18,7 @@ from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, s
 from fmuid.campaigns.known_values import ModelText, guessed_bounds, is_temperature
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
-from fmuid.core.experiments import Experiment, Measurements
+from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.files import check_folder, path_from, write_atomically
 from fmuid.core.formatting import once_each
 from fmuid.core.toml_tables import toml_text
@@ -237,8 +237,18 @@ def _run(
         sigmas={n: s for n, s in sigmas.items() if n in matched},
         resampled=run.resampled,
     )
+    made = replace(made, unused=_unused(table, matched))
     check_measurements(Measurements({made.id: made}), file)
     return made
+
+
+def _unused(table: Table, matched: Mapping[str, str]) -> dict[str, Signal]:
+    """Return the complete columns that match nothing: a coefficient of the model may depend on one."""
+    return {
+        name: Signal(name, values, table.units.get(name) or "1", "input")
+        for name, values in table.columns.items()
+        if name not in matched and np.isfinite(values).all()
+    }
 
 
 def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
@@ -288,7 +298,8 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
     lines = []
     for column in table.columns:
         if column not in matched:
-            lines.append(f"column '{column}' is not used: no input or output of the FMU matches")
+            what = "no input or output of the FMU matches; a diagnosis tries whether a coefficient depends on it"
+            lines.append(f"column '{column}' is not used: {what}")
             continue
         variable = ports[matched[column]]
         unit = table.units.get(column)

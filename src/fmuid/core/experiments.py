@@ -73,6 +73,8 @@ class Experiment:
     repeat_of_reference
         Id of the first run with the same reference, settings and times, whose recorded inputs differ from this
         run's by no more than noise or the reaction of a controller; None if there is none.
+    unused
+        Logged columns that the model does not use, by name: a coefficient may turn out to depend on one.
     """
 
     id: str
@@ -85,10 +87,11 @@ class Experiment:
     description: str = ""
     machine: str = ""
     repeat_of_reference: str | None = None
+    unused: Mapping[str, Signal] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
-        for name in ("signals", "settings", "setting_units"):
+        for name in ("signals", "settings", "setting_units", "unused"):
             object.__setattr__(self, name, frozen_mapping(getattr(self, name)))
 
     @property
@@ -122,7 +125,7 @@ class Experiment:
     def digest(self) -> str:
         """Hash of the times, samples and settings; it does not depend on the id."""
         found = hashlib.sha256(self.time.tobytes())
-        for name, signal in sorted(self.signals.items()):
+        for name, signal in sorted((*self.signals.items(), *self.unused.items())):
             found.update(f"{name} {signal.causality} [{signal.unit}]".encode() + signal.values.tobytes())
         found.update(repr(sorted(self.settings.items())).encode())
         return found.hexdigest()

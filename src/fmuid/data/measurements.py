@@ -121,6 +121,8 @@ def _check_experiment(experiment: Experiment, where: str) -> None:
         if not _is_name(name) or signal.name != name:
             raise _Error("is not a usable signal name", where=f"{where}, signal '{name}'", fix="rename it")
         check_signal(signal, experiment.time.size, f"{where}, signal '{name}'")
+    for name, signal in experiment.unused.items():
+        check_signal(signal, experiment.time.size, f"{where}, unused '{name}'")
     for name, value in experiment.settings.items():
         if not np.isfinite(value):
             raise _Error(f"setting '{name}' is {value}", where=where, fix="write a finite number")
@@ -248,6 +250,7 @@ def _read_experiment(experiments: Any, experiment_id: str, path: Path) -> Experi
         repeat_of_reference=hdf5.text(group, "repeat_of_reference", _Error, where, default="") or None,
         machine=hdf5.text(group, "machine", _Error, where, default=""),
         description=hdf5.text(group, "description", _Error, where, default=""),
+        unused={name: _read_signal(group["unused"], name, where) for name in group.get("unused", ())},
     )
 
 
@@ -298,8 +301,13 @@ def _write_experiment(group: Any, experiment: Experiment) -> None:
                 settings.attrs[name + UNIT_SUFFIX] = experiment.setting_units[name]
     packing: dict[str, Any] = {"compression": "gzip", "shuffle": True} if experiment.time.size > 256 else {}
     group.create_dataset("time", data=experiment.time, **packing)
-    signals = group.create_group("signals", track_order=True)
-    for name, signal in experiment.signals.items():
+    for holder, members in (("signals", experiment.signals), ("unused", experiment.unused)):
+        if members:
+            _write_signals(group.create_group(holder, track_order=True), members, packing)
+
+
+def _write_signals(signals: Any, members: Mapping[str, Signal], packing: Mapping[str, Any]) -> None:
+    for name, signal in members.items():
         dataset = signals.create_dataset(name, data=signal.values, **packing)
         dataset.attrs["unit"] = signal.unit
         dataset.attrs["causality"] = signal.causality

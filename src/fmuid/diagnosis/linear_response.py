@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.linalg import expm
 
@@ -55,6 +54,8 @@ class LinearResponse:
         for k, (step, add) in enumerate(zip(self.transition, self.driven[:, :, parameter], strict=True)):
             states[k + 1] = step @ states[k] + add[:, None] * middle[:, k]
         found = self.observed @ states + self.direct[:, :, parameter, None] * own.T[:, None, :]  # (K, q, R)
+        if len(self.knots) == len(self.time):
+            return found.transpose(2, 1, 0)
         at = self.time[self.knots.astype(np.intp)]
         return np.array([[np.interp(self.time, at, row) for row in one] for one in found.transpose(2, 1, 0)])
 
@@ -139,13 +140,21 @@ class Linearised:
             return found
 
         p = np.zeros(m.n_p)
-        for v in m.variables:
-            if v.location.vector == "p":
-                p[v.location.index] = v.location.sign * values.get(v.name, v.start or 0.0)
+        for given in ({v.name: v.start for v in m.variables if v.start is not None}, values):  # others are aliases
+            for v in m.variables:
+                if v.location.vector == "p" and v.name in given:
+                    p[v.location.index] = v.location.sign * given[v.name]
         d = np.array(f["dependent"](p)).ravel()
         z = np.array(f["start"](p, d)[1]).ravel()
         wide = [np.repeat(a[:, None], n, axis=1) for a in (p, d, z, z)]
-        environment = [time[knots][None, :], rows("x", m.n_x), rows("u", m.n_u), *wide, np.zeros((m.n_m, n)), rows("y", m.n_y)]
+        environment = [
+            time[knots][None, :],
+            rows("x", m.n_x),
+            rows("u", m.n_u),
+            *wide,
+            np.zeros((m.n_m, n)),
+            rows("y", m.n_y),
+        ]
         if m.n_m:
             environment[7] = (_evaluated(f["indicators"], environment)[0] > 0.0).astype(float)
         for _ in range(_NEWTON if m.n_y else 0):
@@ -154,7 +163,12 @@ class Linearised:
         return self._assembled(time, knots, environment, p, outputs)
 
     def _assembled(
-        self, time: FloatArray, knots: FloatArray, environment: list[FloatArray], p: FloatArray, outputs: Sequence[str]
+        self,
+        time: FloatArray,
+        knots: FloatArray,
+        environment: list[FloatArray],
+        p: FloatArray,
+        outputs: Sequence[str],
     ) -> LinearResponse:
         m, f = self._model, self._model.functions
         n, nx, ny = len(knots), m.n_x, m.n_y
@@ -201,7 +215,10 @@ class Linearised:
             place = self._by_name[name].location
             if place.vector in tables:
                 states, parameters = tables[place.vector]
-                c[:, i], direct[:, i] = place.sign * states[:, place.index], place.sign * parameters[:, place.index]
+                c[:, i], direct[:, i] = (
+                    place.sign * states[:, place.index],
+                    place.sign * parameters[:, place.index],
+                )
         step = np.diff(time[knots])[:, None, None]
         joined = np.zeros((n - 1, 2 * nx, 2 * nx))
         joined[:, :nx, :nx] = 0.5 * (a[1:] + a[:-1]) * step
@@ -213,6 +230,8 @@ class Linearised:
 
 def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the (size, N) values of a function's vectors for (size, N) columns of its arguments."""
+    import casadi as ca  # only models with a source are linearised
+
     n = arguments[0].shape[1]
     found = function.map(n)(*(ca.DM(a) if a.size else ca.DM(a.shape[0], n) for a in arguments))
     return [np.asarray(one.full()) for one in (found if isinstance(found, tuple | list) else [found])]

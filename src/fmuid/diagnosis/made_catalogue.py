@@ -3,32 +3,29 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from fmu_build.flat_model import FlatModel
-from fmu_build.instrument import Acts
 from fmu_build.model_ports import Port, find_ports, held_parameters
 from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
 from fmuid.core.files import remove_unused, user_cache, write_atomically
-from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
-from fmuid.core.toml_tables import Table, convert, read_toml, toml_document, toml_text
+from fmuid.core.toml_tables import read_toml, toml_document, toml_text
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
+from fmuid.diagnosis.laws import SHARES, SIZES, Place, effect_lines, fitting, inline
+from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import carrier
+from fmuid.diagnosis.varying import varying_lines
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
@@ -36,8 +33,6 @@ from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-SIZES = "PMZVAFTLWN"
-SHARES = (0.01, 0.05, 0.2)  # sizes at which a law is tried, as shares of the nominal flow
 _MAGNITUDE = 0.01  # disturbance at which a port's response is taken, as a share of the nominal flow
 _OFF = (1.05, 1.2)  # trial factors on a held value
 _TOGETHER = 0.9999  # squared correlation of angles from which two shafts count as geared to each other
@@ -47,125 +42,6 @@ _HEAD = """\
 # `expression` is Modelica and is added to the model at the port; it may use every variable of the model.
 # To add a law of your own, add an entry. Sizes are shares of the flows and motions in the nominal simulation.
 """
-
-
-class _LawParameter(Table):
-    least: str
-    most: str
-    off: str | None = None
-    start: str | None = None
-    scale: str | None = None
-    natural: bool = False
-    unit: str = ""
-
-
-class _LawState(Table):
-    derivative: str
-    start: str = "0"
-
-
-class _Law(Table):
-    words: str
-    origin: str
-    source: str
-    domains: list[str]
-    on: list[str]
-    acts: Acts
-    expression: str | dict[str, str]
-    parameters: dict[str, _LawParameter]
-    flow: str = ""
-    reaction: str = ""
-    states: dict[str, _LawState] = msgspec.field(default_factory=dict)
-    two_sided: bool = False
-    compliant: bool = False
-    body: bool = False
-    absolute: bool = False
-    variant: bool = False
-    trials: list[dict[str, str]] | None = None
-
-    def of(self, domain: str) -> str:
-        """Return the expression in a domain."""
-        return self.expression if isinstance(self.expression, str) else self.expression[domain]
-
-    def slides_at(self, port: Port) -> bool:
-        """Return whether the law is one of sliding, and the port a branch that slides."""
-        return port.slides and "slide" in self.on
-
-    def may_act(self, port: Port) -> bool:
-        """Return whether the law is for a port of this domain and kind, and the port has what it uses."""
-        if port.domain not in self.domains or not (port.kind in self.on or self.slides_at(port)):
-            return False
-        cuts = self.acts == "cut"
-        if (self.compliant and (port.slides or not port.compliant)) or (
-            cuts and port.kind == "branch" and not port.rigid
-        ):
-            return False
-        if (self.body and "acceleration" not in port.quantities) or (self.absolute and port.units[0] != "K"):
-            return False
-        drops = port.kind == "loop" or bool(port.differences)
-        if port.shares and (cuts or self.reaction or (self.acts == "potential" and not drops)):
-            return False
-        if port.shares and port.kind == "branch" and len(port.shares) == 1 and not self.compliant:
-            return False  # a node has the law, too
-        given = {*port.quantities, "time", *self.parameters, *self.states, *SIZES}
-        given |= {"rate"} if cuts else {"position"} if port.kind == "branch" else set()
-        of_states = (text for s in self.states.values() for text in (s.derivative, s.start))
-        used = [self.of(port.domain), self.flow, self.reaction, *of_states]
-        return all(_names(text) <= given for text in used)
-
-    def changes(self, port: Port) -> bool:
-        """Return whether the law changes the model even while it is off, if only its states or its loops."""
-        loops = port.loops and "load" in _names(self.of(port.domain))
-        makes_loops = self.variant and port.kind != "loop"  # the current through a coil is a state
-        return makes_loops or loops or (self.acts == "potential" and bool(port.preferred or port.differences))
-
-    def at(self, port: Port) -> _Law:
-        """Return the law at a port; where the flow through a branch is unknown, without what acts besides."""
-        if not port.differences or _names(self.flow) <= {*port.quantities, *self.parameters}:
-            return self
-        used = set().union(*map(_names, (self.of(port.domain), *(s.derivative for s in self.states.values()))))
-        parameters = {key: p for key, p in self.parameters.items() if key in used}
-        trials = [{k: v for k, v in trial.items() if k in used} for trial in self.trials or ()] or None
-        return msgspec.structs.replace(self, flow="", parameters=parameters, trials=trials)
-
-    def may_be_sized(self, sizes: Collection[str]) -> bool:
-        """Return whether these sizes are all that the law's numbers depend on."""
-        texts = [t for p in self.parameters.values() for t in (p.scale, p.most, p.start) if t]
-        used = {n for text in texts for n in parse(text).names}
-        own = [self.expression] if isinstance(self.expression, str) else self.expression.values()
-        used |= {
-            n for text in (*own, *(s.derivative for s in self.states.values())) for n in _names(text) & set(SIZES)
-        }
-        return used <= set(sizes)
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A port with the sizes (P, V, F, ...) of its nominal simulation."""
-
-    port: Port
-    sizes: Mapping[str, float]
-
-
-@cache
-def laws() -> Mapping[str, _Law]:
-    """Return the library of laws by name."""
-    text = files("fmuid.diagnosis").joinpath("laws.toml").read_text()
-    return {name: convert(raw, _Law, f"laws.toml [{name}]") for name, raw in tomllib.loads(text).items()}
-
-
-def fitting(place: Place) -> Iterator[tuple[str, _Law]]:
-    """Yield the laws that may act at a port: for its domain and kind, using quantities and sizes that it has."""
-    for name, law in laws().items():
-        here = law.at(place.port)
-        if here.may_act(place.port) and here.may_be_sized(place.sizes):
-            yield name, here
-
-
-def _names(modelica: str) -> set[str]:
-    """Return the names of variables in a Modelica expression."""
-    found = re.findall(r"(?<!\w)([A-Za-z_]\w*)\s*(\(?)", modelica)
-    return {name for name, called in found if not called} - {"if", "then", "else", "elseif", "and", "or", "not"}
 
 
 def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: str) -> str:
@@ -187,7 +63,7 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: s
             continue
         lines += _port_lines(place)
         for name, law in found:
-            lines += _effect_lines(name, law, place)
+            lines += effect_lines(name, law, place)
     for name, parameter in held.items():
         lines += _held_lines(name, parameter)
     _, _, rest = signals.partition("format = ")
@@ -217,66 +93,6 @@ def _port_lines(place: Place) -> list[str]:
         lines += [f"[regimes.{toml_text(f'{port.name} {what}')}]", f"variable = {toml_text(variable)}"]
         lines += [f"kind = {toml_text(kind)}", f"unit = {toml_text(unit)}", ""]
     return lines
-
-
-def _effect_lines(name: str, law: _Law, place: Place) -> list[str]:
-    port, sizes = place.port, place.sizes
-    base = f"{port.name}.{name}"
-    own = {key: base if key == "size" else f"{base}_{key}" for key in law.parameters}
-
-    def value(text: str) -> float:
-        return parse(text, where=f"laws.toml [{name}]")(sizes)
-
-    states = {key: f"{base}_{key}" for key in law.states}
-    meant = {**own, **states, **{s: f"{v:.3g}" for s, v in sizes.items()}}
-    expression = _put_in(law.of(port.domain), meant)
-    if law.trials is None:
-        trials = [
-            {own[k]: value(p.off or "0") + share * value(p.scale) for k, p in law.parameters.items() if p.scale}
-            for share in SHARES
-        ]
-    else:
-        every = [{own[k]: value(v) for k, v in trial.items()} for trial in law.trials]
-        trials = [trial for i, trial in enumerate(every) if trial not in every[:i]]
-    units = {"p": port.units[0], "f": port.units[1]}
-    table = f"[effects.{toml_text(f'{name}@{port.name}')}"
-    lines = [
-        f"{table}]",
-        f"description = {toml_text(f'{port.name}: {law.words}')}",
-        f"source = {toml_text(f'{law.origin}. {law.source}')}",
-        f"port = {toml_text(port.name)}",
-        f"acts = {toml_text(law.acts)}",
-        f"expression = {toml_text(expression)}",
-        *([f"flow = {toml_text(_put_in(law.flow, meant))}"] if law.flow else []),
-        *([f"reaction = {toml_text(_put_in(law.reaction, meant))}"] if law.reaction else []),
-        *(["two_sided = true"] if law.two_sided else []),
-        *(["usual = false"] if port.kind != law.on[0] and not law.slides_at(port) else []),
-        *(["variant = true"] if law.changes(port) else []),
-        f"trials = [{', '.join(_inline(t) for t in trials)}]",
-        f"{table}.parameters]",
-    ]
-    for key, state in law.states.items():
-        derivative = _put_in(state.derivative, meant)
-        start = _put_in(state.start, meant)
-        rows = f"derivative = {toml_text(derivative)}, start = {toml_text(start)}"
-        lines.insert(-1, f"states.{toml_text(states[key])} = {{ {rows} }}")
-    for key, p in law.parameters.items():
-        least, most = value(p.least), value(p.most)
-        kind = "neutral" if p.off is not None else "start"
-        first = value(p.off if p.off is not None else p.start or "0")
-        step = 2e-3 * value(p.scale) if p.scale else 0.02 * first or 2e-3 * (most - least)
-        numbers = {kind: first, "lower": least, "upper": most, "step": step}
-        inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items()) + ", natural = true" * p.natural
-        lines.append(f"{toml_text(own[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}")
-    return [*lines, ""]
-
-
-def _put_in(expression: str, names: Mapping[str, str]) -> str:
-    return re.sub(r"(?<!\w)[A-Za-z_]\w*", lambda m: names.get(m.group(), m.group()), expression)
-
-
-def _inline(values: Mapping[str, float]) -> str:
-    return "{ " + ", ".join(f"{toml_text(n)} = {v:.6g}" for n, v in values.items()) + " }"
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +127,7 @@ def _held_lines(name: str, held: Held) -> list[str]:
         sd = held.tolerance * abs(value)
         low, high = value - _TOLERATED * sd, value + _TOLERATED * sd
         off, known = [value + n * sd for n in (1, 3, -3)], f"sd = {sd:.6g}, "
-    trials = ", ".join(_inline({name: v}) for v in off)
+    trials = ", ".join(inline({name: v}) for v in off)
     return [
         f"[ports.{key}]",
         f"description = {toml_text(f'Value of {name}')}",
@@ -554,7 +370,27 @@ def made_catalogue(
             bounds = _bounds(simulated, spec) if spec is not None and value == 0.0 else None
             if not known and value is not None and (value or bounds) and parameter not in held:
                 held[parameter] = Held(value, unit, None if spec is None else spec.tolerance, bounds)
-    return catalogue_text(_merged(parts), held, signal_catalogue(recorded))
+    text = catalogue_text(_merged(parts), held, signal_catalogue(recorded))
+    return f"{text}\n{_varying(campaign, text, setups, load, runner)}" if setups else text
+
+
+def _varying(
+    campaign: Campaign,
+    text: str,
+    setups: Mapping[str, _Setup],
+    load: Callable[[ModelSpec], Simulator],
+    runner: Runner,
+) -> str:
+    """Return the entries for coefficients that vary, chosen with the plain models refitted to the runs."""
+    tables = tomllib.loads(text)
+    effects = {id: table for id, table in tables["effects"].items() if "expression" not in table}
+    plain = _in_cache(toml_document({**tables, "effects": effects}))
+    built = {n: replace(s.model, fmu=built_model(s.source)) for n, s in setups.items()}
+    spec = replace(_spec(campaign), catalogue=plain)
+    campaign = replace(campaign, effects=spec, models={**campaign.models, **built})
+    subject = subject_of(campaign, load, runner=runner)
+    flats = {name: setup.flat for name, setup in setups.items()}
+    return "\n".join(varying_lines(subject, campaign, flats, tables["ports"]))
 
 
 def _bounds(model: CampaignModel, spec: ParameterSpec) -> tuple[float, float] | None:

@@ -11,7 +11,7 @@ from fmu_build import compile_flat
 from fmu_build.errors import InputDerivativeError, ModelicaError
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import find_ports
+from fmu_build.model_ports import places
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError, SimulationError
@@ -31,7 +31,7 @@ def carrier(source: ModelSource, catalogue: Catalogue) -> Path:
         The model has none of the ports at which effects act.
     """
     flat = flat_model(source)
-    known = {port.name for port in find_ports(flat)}
+    known = places(flat).keys()
     acting = [e for e in catalogue.effects.values() if e.expression]
     if acting and not any(e.port in known for e in acting):
         raise CampaignError(
@@ -68,7 +68,7 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
     What the model cannot be built with is left out with its parameters: an input of a signal that the model
     differentiates, say, or a law that decides how many states there are.
     """
-    known = {port.name: port.kind for port in find_ports(flat)}
+    known = places(flat)
     inside = effects_inside(source)
     every = []
     for effect in catalogue.effects.values():
@@ -142,7 +142,7 @@ def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[s
     """Return effects that `models` could not be built with, so that `variables` lack them, by reason."""
     lacking = [e for e in catalogue.effects.values() if e.expression and variables.isdisjoint(e.neutral)]
     flat = [flat_model(model.source) for model in models if lacking and model.source is not None]
-    ports = [{port.name for port in find_ports(one)} for one in flat]
+    ports = [places(one) for one in flat]
     found: dict[str, list[str]] = {}
     for effect in lacking:
         having = [one for one, own in zip(flat, ports, strict=True) if effect.port in own]

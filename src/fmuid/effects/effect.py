@@ -115,6 +115,8 @@ class Effect:
         Whether a size of the opposite sign is equally plausible.
     units
         Units of the parameters.
+    inputs
+        Inputs that the model gets for the expression, with their units: logged columns that it does not use.
     """
 
     id: str
@@ -135,6 +137,7 @@ class Effect:
     states: tuple[State, ...] = ()
     usual: bool = True
     variant: bool = False
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def sizes(self) -> tuple[str, ...]:
@@ -159,17 +162,18 @@ class Effect:
             return f"noEvent(if {on} then {text} else {off})" if text else ""
 
         states = tuple(replace(s, derivative=gated(s.derivative)) for s in self.states)
-        value = gated(self.expression, "p" if self.acts == "signal" else "0")
+        value = gated(self.expression, "p" if self.acts in ("signal", "parameter") else "0")
         first = Term(self.port, self.acts, value, where, states, gated(self.reaction))
         return [first, Term(self.port, "flow", gated(self.flow), where)] if self.flow else [first]
 
     def added(self, known: Collection[str] = ()) -> list[Added]:
-        """Return the parameters that the terms use and that are not `known` to the model."""
-        return [
+        """Return the parameters and inputs that the terms use and that are not `known` to the model."""
+        every = [
             Added(u.name, self.neutral[u.name], self.units.get(u.name, ""), self.description)
             for u in self.unknowns
-            if u.name not in known
         ]
+        every += [Added(name, 0.0, unit, input=True) for name, unit in self.inputs.items()]
+        return [one for one in every if one.name not in known]
 
     def scaled(self, trial: Mapping[str, float], factor: float, *, clipped: bool = True) -> dict[str, float]:
         """Return a trial with sizes scaled by `factor` from neutral, by default kept within their bounds."""

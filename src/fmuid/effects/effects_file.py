@@ -51,6 +51,7 @@ class _Effect(Table):
     states: dict[str, _State] = msgspec.field(default_factory=dict)
     usual: bool = True
     variant: bool = False
+    inputs: dict[str, str] = msgspec.field(default_factory=dict)
 
 
 class _Port(Table):
@@ -172,4 +173,5 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         states=tuple(State(key, s.derivative, s.start, s.unit) for key, s in raw.states.items()),
         usual=raw.usual,
         variant=raw.variant or bool(raw.states) or raw.acts == "cut",
+        inputs=dict(raw.inputs),
     )

@@ -14,7 +14,7 @@ from fmu_build import build, compile_flat, load
 from fmu_build.build import built_by, libraries_of
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import find_ports
+from fmu_build.model_ports import places
 from fmuid.core.campaign import ModelSource
 from fmuid.core.files import remove_unused, user_cache
 from fmuid.effects.effects_file import load_catalogue
@@ -35,7 +35,7 @@ def flat_model(source: ModelSource) -> FlatModel:
     if source.effects is None:
         return flat
     effects = load_catalogue(source.effects).effects.values()
-    ports = {port.name for port in find_ports(flat)}
+    ports = places(flat)
     # A campaign's models share a catalogue, but each has only some of its ports.
     here = [e for e in effects if e.port in ports] or [*effects]
     return instrument(flat, [term for e in here for term in e.terms], [one for e in here for one in e.added()])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -22,6 +23,7 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
 from fmuid.simulation.simulator import Simulator, Task
 
+LOGGED = "logged."  # begins the names of inputs that are columns which the plain model does not use
 _T = TypeVar("_T")
 _Set = tuple[str, str, Conversion]
 """A value set on a model: the variable, the parameter it comes from, and the conversion between them."""
@@ -333,6 +335,8 @@ def _case(
         variable = _variable(model, name, simulator, where)
         convert = conversion_at(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
         inputs[variable] = convert(signal.values)
+    for variable in (n for n, v in variables.items() if v.causality == "input" and n.startswith(LOGGED)):
+        inputs[variable] = _logged(group, variable)
     known = _settings(campaign, first, model, simulator, where)
     time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
     lead = 0
@@ -378,6 +382,24 @@ def _case(
         lead,
         first.machine,
     )
+
+
+def logged(column: str) -> str:
+    """Return the name of the input of a model that a column becomes which the plain model does not use."""
+    return LOGGED + re.sub(r"\W", "_", column)
+
+
+def _logged(group: Sequence[Experiment], variable: str) -> FloatArray:
+    """Return the mean of a column over repeats."""
+    found = [s.values for e in group for name, s in e.unused.items() if logged(name) == variable]
+    if len(found) < len(group):
+        id = next(e.id for e in group if variable not in map(logged, e.unused))
+        raise MeasurementsError(
+            f"has no column '{variable.removeprefix(LOGGED)}', on which a coefficient of the model depends",
+            where=f"experiment '{id}'",
+            fix="leave the run out, or add the column",
+        )
+    return np.asarray(np.mean(found, axis=0))
 
 
 def _variable(model: ModelSpec, name: str, simulator: Simulator, where: str) -> str:

@@ -1,0 +1,388 @@
+"""Coefficients that vary: which parameters depend on what, judged before a model with them is built.
+
+Every parameter may depend on variables near it, on measured outputs, on logged columns that the model does not
+use, on time, or on the component's own warming. The response to each dependence follows from one linearisation of
+the model along its runs (`linear_response`). Those that explain more of the residual than noise would become
+effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu_build import compile_flat
+from fmu_build.flat_model import FlatModel
+from fmu_build.model_ports import Coefficient, Port, coefficients
+from fmuid.core.campaign import Campaign
+from fmuid.core.errors import SimulationError
+from fmuid.core.formulas import parse
+from fmuid.core.immutable import FloatArray
+from fmuid.core.toml_tables import toml_text
+from fmuid.data.filtering import first_order
+from fmuid.diagnosis.candidates import Fitted, fit_effects
+from fmuid.diagnosis.laws import Dependence, Law, Place, effect_lines, laws
+from fmuid.diagnosis.linear_response import Linearised, LinearResponse
+from fmuid.diagnosis.null_distribution import draw_noise
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS
+from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.scores import nominal_basis, stack
+from fmuid.diagnosis.subject import Subject
+from fmuid.identification.problem.cases import logged
+
+TIME, WARMTH, COEFFICIENT = "time", "warmth", "parameter"
+_MOST = 10  # coefficients that vary, built into a model
+_EACH = 4  # of one parameter
+_SHARE = 0.25  # least score, as a share of the best one
+_ALIKE = 1e-4  # courses whose correlation is within this of 1 are the same
+_MOVES = 1e-3  # relative to its size: what moves less counts as constant
+_FEW = 8  # states: in a model with more, only those near a component may change it
+_SIMPLER = 0.03  # share of the score that a later law of the library has to gain over an earlier one
+_MARGIN = 1.2  # over the largest score that noise alone reaches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """What a coefficient may depend on.
+
+    Attributes
+    ----------
+    name
+        As in ids: a variable, a signal, a column or `TIME`.
+    text
+        In Modelica.
+    courses
+        (N,) values in every run whose model has the coefficient.
+    direct
+        Whether it is a state, an input or time, so that a dependence makes no algebraic loop.
+    near
+        Whether it is a variable at the component itself.
+    column
+        Whether it is a logged column that the model does not use, which becomes an input.
+    """
+
+    name: str
+    text: str
+    unit: str
+    courses: tuple[FloatArray, ...]
+    direct: bool = True
+    near: bool = False
+    column: bool = False
+
+    @property
+    def low(self) -> float:
+        """The least value."""
+        return min(float(c.min()) for c in self.courses)
+
+    @property
+    def high(self) -> float:
+        """The largest value."""
+        return max(float(c.max()) for c in self.courses)
+
+    @property
+    def reference(self) -> float:
+        """The value at which the coefficient is the parameter's own: zero, or that at the first start."""
+        span = self.high - self.low
+        zero = self.low <= 0.1 * span and self.high >= -0.1 * span
+        return 0.0 if zero else float(self.courses[0][0])
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Numbers for the library's formulas, without the duration of the runs."""
+        low, high, at = self.low, self.high, self.reference
+        return {"P": max(high - at, at - low), "Z": at, "low": low, "high": high}
+
+    @property
+    def signed(self) -> bool:
+        """Whether it moves to both sides of the reference."""
+        at, share = self.reference, 0.1 * self.sizes["P"]
+        return self.low < at - share and self.high > at + share
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """A law for a coefficient over a source, with the fall of the cost that it promises."""
+
+    coefficient: Coefficient
+    source: Source
+    name: str
+    drop: float
+    signature: FloatArray
+
+    @property
+    def law(self) -> Law:
+        """The law of the library."""
+        return laws()[self.name]
+
+    @property
+    def over(self) -> str:
+        """What it depends on, as in ids."""
+        return WARMTH if self.law.memory else self.source.name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setup:
+    """A setup's model, linearised along its runs; `index` are the numbers of its cases."""
+
+    flat: FlatModel
+    linear: Linearised
+    coefficients: Mapping[str, Coefficient]
+    index: Sequence[int]
+    courses: Sequence[Mapping[str, FloatArray]]
+    responses: Sequence[LinearResponse]
+
+
+def varying_lines(
+    subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel], known: Mapping[str, object]
+) -> list[str]:
+    """Return the entries of a catalogue for the coefficients that seem to vary; none if there is no gap.
+
+    Parameters
+    ----------
+    subject
+        The plain models with their measurements.
+    flats
+        The flat models of setups that have a source.
+    known
+        Names of the places that the catalogue already has.
+    """
+    nominal = fit_effects(subject, (), [{}])
+    if nominal is None or nominal.gap <= GAP_THAT_MATTERS:
+        return []
+    chosen = scored(subject, campaign, flats, nominal)
+    duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
+    lines: list[str] = []
+    for name, unit in {
+        s.coefficient.name: s.coefficient.unit for s in chosen if s.coefficient.name not in known
+    }.items():
+        lines += [f"[ports.{toml_text(name)}]", f"description = {toml_text(f'Value of {name}')}"]
+        lines += [f"unit = {toml_text(unit)}", ""]
+    for one in chosen:
+        source, law = one.source, one.law
+        port = Port(one.coefficient.name, "parameter", "parameter", (), (source.unit, one.coefficient.unit), {})  # type: ignore[arg-type]
+        usual = source.near or bool(source.column) or source.name in _measured(subject)
+        inputs = {source.text: source.unit} if source.column else {}
+        over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs)
+        lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
+    return lines
+
+
+def scored(subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel], nominal: Fitted) -> list[Scored]:
+    """Return the dependences that explain more of the residual than noise would, the best first."""
+    setups = [s for name, flat in flats.items() if (s := _setup(subject, name, flat, nominal)) is not None]
+    observed = subject.observed
+    basis, residual = nominal_basis(nominal.fit, observed), stack(nominal.fit.residuals, observed)
+    found: list[Scored] = []
+    for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
+        having = [setup for setup in setups if name in setup.coefficients]
+        best: dict[str, Scored] = {}
+        for source in _sources(subject, campaign, having, name):
+            for one in _of(subject, having, source, name, basis=basis, residual=residual):
+                kept = best.get(one.over)
+                if kept is None or one.drop > (1.0 + _SIMPLER) * kept.drop:
+                    best[one.over] = one
+        found += sorted(best.values(), key=lambda s: -s.drop)[:_EACH]
+    found = sorted(found, key=lambda s: -s.drop)[: 3 * _MOST]
+    if not found:
+        return []
+    (prediction,) = subject.model.predict([nominal.fit.values])
+    assert not isinstance(prediction, SimulationError)
+    null = draw_noise(observed, prediction).null(basis, [s.signature for s in found])
+    least = max(_MARGIN * null.threshold(), _SHARE * found[0].drop)
+    return [s for s in found if s.drop >= least][:_MOST]
+
+
+def _setup(subject: Subject, name: str, flat: FlatModel, nominal: Fitted) -> _Setup | None:
+    """Return a setup linearised at the refitted parameters; None if no run or no coefficient is there."""
+    index = [k for k, case in enumerate(subject.model.cases) if case.setup == name]
+    own = {c.name: c for c in coefficients(flat)}
+    if not index or not own:
+        return None
+    linear = Linearised(compile_flat(flat), [*own])
+    own = {n: own[n] for n in linear.parameters}
+    cases = [subject.model.cases[k] for k in index]
+    model = replace(subject.model, cases=tuple(cases))
+    wanted = dict.fromkeys([*linear.needed, *(v for c in own.values() for v in (*c.variables, *_ends(flat, c)))])
+    wanted |= dict.fromkeys(c.variable for case in cases for c in case.channels)
+    names = [n for n in wanted if all(n in case.simulator.variables for case in cases)]
+    rows = model.trajectories(nominal.fit.values, names)
+    courses, responses = [], []
+    for case, row in zip(cases, rows, strict=True):
+        driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
+        courses.append(dict(zip(names, row, strict=True)) | driven)
+        values = {
+            **case.task.start_values,
+            **subject.model.start_values(case, {**subject.model.fixed, **nominal.fit.values}),
+        }
+        responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
+    return _Setup(flat, linear, own, index, courses, responses)
+
+
+def _ends(flat: FlatModel, c: Coefficient) -> Iterator[str]:
+    """Yield potentials and flows of the components in which a coefficient acts."""
+    for connector in flat.connectors.values():
+        if connector.component and connector.component in c.components:
+            yield from connector.potentials
+            yield from connector.flows
+
+
+def _measured(subject: Subject) -> dict[str, str]:
+    """Return the model's variable of each measured signal."""
+    return {c.signal: c.variable for case in subject.model.cases for c in case.channels}
+
+
+def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], name: str) -> list[Source]:
+    """Return what a coefficient may depend on; of several that are the same, only the first."""
+    cases = [(subject.model.cases[k], c) for s in having for k, c in zip(s.index, s.courses, strict=True)]
+    found: list[Source] = []
+    known: list[FloatArray] = []
+
+    def offer(source: Source) -> None:
+        whole = np.concatenate(source.courses)
+        size = float(np.abs(whole).max())
+        if not np.isfinite(whole).all() or float(np.ptp(whole)) <= _MOVES * size:
+            return
+        centred = whole - whole.mean()
+        unit = centred / np.linalg.norm(centred)
+        same = next((k for k, other in enumerate(known) if abs(float(unit @ other)) >= 1.0 - _ALIKE), None)
+        if same is None:
+            known.append(unit)
+            found.append(source)
+        elif source.near:
+            found[same] = replace(found[same], near=True)
+
+    first = having[0]
+    units = {v: one.unit or "1" for v, one in cases[0][0].simulator.variables.items()}
+    signals = {variable: signal for signal, variable in _measured(subject).items()}
+    own = [v for s in having for v in (*_ends(s.flat, s.coefficients[name]), *s.coefficients[name].variables)]
+    states = [v for s in having for v in s.linear.states]
+    if len(set(states)) > _FEW:
+        around = {c for s in having for c in _around(s.flat, s.coefficients[name])}
+        states = [v for v in states if first.flat.variables[v].component in around] if states else []
+    inputs = [n for case, _ in cases for n in case.task.inputs]
+    near = {*own}
+    # Of variables that are equal, a measured signal or an input names a dependence best.
+    ordered = dict.fromkeys([*inputs, *signals, *states, *own])
+    for variable in ordered:
+        if all(variable in c for _, c in cases) and variable in first.flat.variables:
+            direct = all(s.linear.kind(variable) in ("x", "u") for s in having)
+            course = tuple(c[variable] for _, c in cases)
+            name_ = signals.get(variable, variable)
+            offer(Source(name_, variable, units.get(variable, "1"), course, direct, variable in near))
+    logs = [[campaign.measurements[id].unused for id in case.experiments] for case, _ in cases]
+    for column in (n for n in logs[0][0] if all(n in one for log in logs for one in log)):
+        values = tuple(np.mean([one[column].values for one in log], axis=0) for log in logs)
+        offer(Source(column, logged(column), logs[0][0][column].unit, values, column=True))
+    offer(Source(TIME, TIME, "s", tuple(case.time for case, _ in cases)))
+    return found
+
+
+def _around(flat: FlatModel, c: Coefficient) -> set[str]:
+    """Return the components in which a coefficient acts, and those that are connected to them."""
+    found = {*c.components}
+    for equation in flat.equations:
+        if equation.origin.connectors:
+            joined = {flat.connectors[p].component for p in equation.origin.connectors if p in flat.connectors}
+            if joined & {*c.components}:
+                found |= joined
+    return found
+
+
+def _of(
+    subject: Subject,
+    having: Sequence[_Setup],
+    source: Source,
+    name: str,
+    *,
+    basis: FloatArray,
+    residual: FloatArray,
+) -> Iterator[Scored]:
+    """Yield the laws of a coefficient over a source, each with the best of its trials."""
+    duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
+    tried: list[tuple[str, Law]] = []
+    rows: list[tuple[FloatArray, ...]] = []
+    time = [subject.model.cases[k].time for s in having for k in s.index]
+    for law_name, law in laws().items():
+        if (
+            COEFFICIENT not in law.domains
+            or (law.absolute and source.unit != "K")
+            or (law.signed and not source.signed)
+        ):
+            continue
+        if law.memory and not (source.near and source.text != TIME):
+            continue
+        for trial in _trials(law, source, duration):
+            own = [_change(law, x, t, trial) for x, t in zip(source.courses, time, strict=True)]
+            if all(np.isfinite(c).all() for c in own) and any(np.ptp(c) > 0.0 for c in own):
+                tried.append((law_name, law))
+                rows.append(tuple(own))
+    if not rows:
+        return
+    moved = _moved(subject, having, name, [np.array(one) for one in zip(*rows, strict=True)])
+    signatures = project_off(moved.T, basis).T
+    lengths = np.linalg.norm(signatures, axis=1)
+    best: dict[str, Scored] = {}
+    for (law_name, law), whole, signature, length in zip(tried, moved, signatures, lengths, strict=True):
+        if not length > 1e-3 * float(np.linalg.norm(whole)):
+            continue
+        amount = -float(signature @ residual) / length
+        drop = amount**2 if amount > 0.0 or law.two_sided else 0.0
+        if law_name not in best or drop > best[law_name].drop:
+            best[law_name] = Scored(having[0].coefficients[name], source, law_name, drop, signature / length)
+    yield from best.values()
+
+
+def _trials(law: Law, source: Source, duration: float) -> Iterator[dict[str, float]]:
+    """Yield values of a law's parameters and sizes, once for each shape of a law that is linear in its size."""
+    sizes = {**source.sizes, "T": duration}
+    starts = {k: parse(p.start)(sizes) for k, p in law.parameters.items() if p.start}
+    seen = []
+    for trial in law.trials or ():
+        values = {**sizes, **starts, **{k: parse(text)(sizes) for k, text in trial.items()}}
+        shape = {k: v for k, v in values.items() if k != "size"}
+        if shape not in seen or not _linear(law):
+            seen.append(shape)
+            yield values
+
+
+def _linear(law: Law) -> bool:
+    return law.of(COEFFICIENT).startswith("p*(1 + size*")
+
+
+def _change(law: Law, x: FloatArray, time: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """Return the relative change of a coefficient over the course of its source."""
+    columns: dict[str, FloatArray | float] = {**values, "x": x, "p": 1.0}
+    for state, one in law.states.items():
+        heat = _evaluated(one.derivative, {**columns, state: 0.0}, x) * values["lag"]
+        keep = np.exp(-float(np.mean(np.diff(time))) / values["lag"])
+        columns[state] = first_order((1.0 - keep) * np.concatenate([[0.0], heat[:-1]]), keep)
+    return _evaluated(law.of(COEFFICIENT), columns, x) - 1.0
+
+
+def _evaluated(text: str, columns: Mapping[str, FloatArray | float], like: FloatArray) -> FloatArray:
+    expression = parse(text.replace("^", "**"))
+    full = {n: np.broadcast_to(columns[n], like.shape) for n in expression.names}
+    with np.errstate(all="ignore"):
+        return np.broadcast_to(expression.of_samples(full), like.shape).astype(np.float64)
+
+
+def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Sequence[FloatArray]) -> FloatArray:
+    """Return (R, M) changes of the whitened residual by R courses of a coefficient, given for each run."""
+    observed = subject.observed
+    count = len(courses[0])
+    parts = [np.zeros((count, w.size)) for w in observed.whiteners]
+    own = iter(courses)
+    for setup in having:
+        j = setup.linear.parameters.index(name)
+        for k, response in zip(setup.index, setup.responses, strict=True):
+            case = subject.model.cases[k]
+            moved = response.to(j, next(own))
+            shown = np.stack([c.scaled(case.time, moved[:, i], {}) if not c.plain else moved[:, i]
+                              for i, c in enumerate(case.channels)], axis=1)  # fmt: skip
+            whitened = observed.whiteners[k](shown).reshape(count, -1)
+            if observed.nuisances:
+                whitened = project_off(whitened.T, observed.nuisances[k]).T
+            parts[k] = np.sqrt(observed.repeats[k]) * whitened
+    return np.concatenate(parts, axis=1)
