@@ -12,7 +12,7 @@ import numpy as np
 
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import FlatModel, constant, number
-from fmu_build.model_ports import find_ports
+from fmu_build.model_ports import places
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
 from fmuid.core.files import path_from, write_atomically
@@ -157,8 +157,8 @@ class _Document:
             parts = {n: carrier(file, catalogue) for n, file in model.coupling.components.items()}
             return replace(model, coupling=replace(model.coupling, components=parts))
         plain = flat_model(model.source)
-        places = {port.name for port in find_ports(plain)}
-        if not any(e.expression and e.port in places for e in self.effects):
+        known = places(plain)
+        if not any(e.expression and e.port in known for e in self.effects):
             self.sources[setup] = model.source, plain
             return model
         source = replace(model.source, effects=self.folder / EFFECTS)

@@ -1,0 +1,73 @@
+"""Coefficients that vary with a variable, with a logged column, or with a component's own warming."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fmuid
+from fmuid.diagnosis.made_catalogue import made_catalogue
+from fmuid.simulation.coupled.loading import load_simulator
+
+ROOM = """
+model Room "A heated room"
+  parameter Real C(unit = "J/K") = 2e4 "Air and walls";
+  parameter Real G(unit = "W/K") = 20 "Room to outdoors";
+  input Real P(unit = "W") "Heater";
+  input Real T_out(unit = "K") "Outdoor air";
+  output Real T(unit = "K", start = 293, fixed = true) "Room";
+equation
+  C*der(T) = P - G*(T - T_out);
+end Room;
+"""
+STEP, SAMPLES, RUNS = 20.0, 240, 4
+
+
+def logs(folder, conductance, seed=1):
+    """CSV files of a room whose conductance is a function of its temperature and of the wind."""
+    rng = np.random.default_rng(seed)
+    paths = {}
+    for run in range(RUNS):
+        time = STEP * np.arange(SAMPLES)
+        power = 300.0 + 300.0 * np.repeat(rng.integers(0, 3, SAMPLES // 40), 40)
+        outdoors = 278.0 + 4.0 * np.sin(time / 1500.0 + run)
+        wind = np.abs(6.0 * np.sin(time / 900.0 + 2.0 * run) + 2.0)
+        temperature = np.empty(SAMPLES)
+        value = 293.0
+        for k in range(SAMPLES):
+            temperature[k] = value
+            for _ in range(10):
+                value += STEP / 10 * (power[k] - conductance(value, wind[k]) * (value - outdoors[k])) / 2e4
+        seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
+        rows = np.column_stack([time, power, outdoors, wind, seen])
+        file = folder / f"day_{run}.csv"
+        np.savetxt(file, rows, "%.6f", ",", header="time,P [W],T_out [K],wind [m/s],T [K]", comments="")
+        paths[file.stem] = file
+    return paths
+
+
+def campaign(tmp_path, conductance):
+    source = tmp_path / "Room.mo"
+    source.write_text(ROOM)
+    return fmuid.start([*logs(tmp_path, conductance).values()], model=source, out=tmp_path / "room")
+
+
+def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path):
+    found = fmuid.diagnose(campaign(tmp_path, lambda t, wind: 20.0 * (1.0 + 0.05 * wind)), out=tmp_path / "out")
+    assert found.corrected.names == ("varies@G(wind)",)
+    size = found.corrected.fit.values["G.varies.wind"]
+    assert size == pytest.approx(0.05, rel=0.1)
+    again = fmuid.diagnose(tmp_path / "out" / "corrected")
+    assert not again.diagnosis.gap.present
+
+
+def test_a_complete_model_has_no_coefficient_that_varies(tmp_path):
+    text = made_catalogue(campaign(tmp_path, lambda t, wind: 21.0), load_simulator)
+    assert "value@" in text or "effects" in text
+    assert "varies" not in text
+
+
+def test_a_coefficient_that_depends_on_the_temperature_of_its_component(tmp_path):
+    text = made_catalogue(campaign(tmp_path, lambda t, wind: 20.0 * (1.0 + 0.03 * (t - 293.0))), load_simulator)
+    first = text[text.index("varies@") :]
+    assert first.startswith("varies@G(T)")
