@@ -345,7 +345,7 @@ def _case(
         time = np.concatenate([[2 * time[0] - time[1]], time])
         inputs = {name: np.append(values, values[-1]) for name, values in inputs.items()}
     timings = {model.variable(n): campaign.timings.get(n, model.timing) for n in first.inputs}
-    lines = tuple(n for n in inputs if timings[n] == "linear")
+    lines = tuple(n for n in inputs if timings.get(n, model.timing) == "linear")
     whole = len(lines) == len(inputs) and model.timing == "linear"
     kind: Interpolation = "linear" if whole else "hold"
     late = [c for c in channels if campaign.timings.get(c.signal, model.timing) == "held-read-after"]
