@@ -95,7 +95,7 @@ def test_many_files_are_few_lines_and_can_be_imported_again(
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (["--cut", "5"], "'5' is no time span"),
+        (["--cut", "5"], "'5' is not a time span"),
         (["--cut", "200..300"], "fewer than two samples lie between 200 and 300 s"),
         (["--mask", "tau"], "'tau' is not a condition"),
         (["--mask", "force > 3"], "has no signal 'force'"),

@@ -241,7 +241,7 @@ def test_colours_and_progress_on_a_terminal_only(folder: Path) -> None:
         text=True,
         timeout=600,
     )
-    assert "changing the parameters one by one" in seen.stdout
+    assert "varying the parameters one by one" in seen.stdout
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -269,7 +269,7 @@ def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) ->
         (["validate", "nowhere"], "nowhere: no such file; name a folder written by fmuid identify"),
         (["report", "nowhere"], "nowhere: no such file; name a folder written by fmuid identify"),
         (["report", "nowhere", "--format", "gif"], "--format: no format 'gif'; known: png, svg, pdf"),
-        (["build", "nowhere.mo", "A.B"], "nowhere.mo: no such Modelica file; check the path, or name a package that is shipped: Drives, Pendulum"),
+        (["build", "nowhere.mo", "A.B"], "nowhere.mo: no such Modelica file; check the path, or choose an included package: Drives, Pendulum"),
         (["compare", "a.csv", "b.csv"], "a.csv: no such file; check the path"),
         (["compare", "a.csv", "b.csv", "--funnel-time", "1"], "--funnel-time without --funnel; give the funnel's half-width too: --funnel 0.01"),
         (["simulate", "no.fmu"], "no.fmu: cannot be read (No such file or directory); check the path"),
@@ -510,7 +510,7 @@ def test_import_and_export(folder: Path, measurements: Measurements, fmuid: Comm
         ("time,u [N],x [m]", ["--resample", "0"], "--resample: rate 0 is none; give samples a second, such as 1000"),
         ("time,u [N],x [m]", ["--resample", "0.1"], "run.csv: 1 s at 0.1 Hz are 1 samples; give another rate"),
         ("time,u [N],x [m]", ["--resample", "10", "--method", "spline"], "--method: no method 'spline'; known: linear, hold, mean"),
-        ("time,u [N],x [m]", ["--method", "hold"], "--method without a time base; give --resample RATE or --align SIGNAL too"),
+        ("time,u [N],x [m]", ["--method", "hold"], "--method without a time base; also give --resample RATE or --align SIGNAL"),
         ("time,u [N],x [m]", ["--align", "X"], "run.csv: has no signal 'X'; did you mean 'x'?"),
         ("x [m],u [N],time", [], "run.csv: the first column is 'x'; it must be 'time', in s"),
         ("time,u [N],u [m]", [], "run.csv: column 'u' appears twice; rename one of the two"),

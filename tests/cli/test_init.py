@@ -265,7 +265,7 @@ def test_a_model_may_use_a_library_in_another_folder(
     code, _, err = fmuid("effects", "campaign", "--root", "libraries")
     assert (code, err) == (
         2,
-        "fmuid: --root: a campaign names its models' libraries itself; write them in campaign.toml, as `roots` of a model\n",
+        "fmuid: --root: the libraries of a campaign are in its campaign.toml; write them in campaign.toml, as `roots` of a model\n",
     )
     code, _, err = fmuid("init", "run.csv", "--fmu", "Drive.fmu", "--root", "libraries")
     assert (code, err) == (

@@ -116,7 +116,7 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     assert "every run was used for the diagnosis; record other runs" in said
     assert said.count("\n") == 1
     assert run(["validate", str(out / "diagnosis.json"), str(trolley), "-e", "slow"]) == 0
-    assert "used for the diagnosis, so no test of it: slow\n" in capsys.readouterr().out
+    assert "used for the diagnosis, so not a test of it: slow\n" in capsys.readouterr().out
 
 
 def test_validation_runs_and_their_repeats_stay_out_of_a_diagnosis(trolley, tmp_path, capsys):
@@ -142,7 +142,7 @@ def test_validation_runs_and_their_repeats_stay_out_of_a_diagnosis(trolley, tmp_
     del answer["experiments"]
     file.write_text(json.dumps(answer))
     assert run(["validate", str(file), str(tmp_path)]) == 0
-    assert "does not say which runs" in capsys.readouterr().out
+    assert "does not record its runs" in capsys.readouterr().out
     (tmp_path / "campaign.toml").write_text(text)
     assert run(["validate", str(file), str(tmp_path)]) == 2
     assert "does not say which runs it was made from; diagnose again" in capsys.readouterr().err

@@ -37,7 +37,7 @@ def _follows_interruption(error: BaseException | None) -> bool:
 
 
 def _open_what_is_closed() -> None:
-    """Have standard streams that are closed lead nowhere: else the next file that is opened gets their text."""
+    """Redirect closed standard streams to the null device; otherwise the next opened file gets their text."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             descriptor = os.open(os.devnull, os.O_RDWR)

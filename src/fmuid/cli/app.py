@@ -35,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Identify the parameters of FMUs from measurement campaigns, and diagnose what the model misses.",
-    epilog="Exit code: 0 done, 1 the answer is no, 2 bad input, 130 interrupted.",
+    epilog="Exit code: 0 success, 1 check failed, 2 bad input, 130 interrupted.",
 )
 app.command("demo")(demonstrating.demo)
 app.command("init")(importing.init)
@@ -58,7 +58,7 @@ app.command("open")(opening.open_)
 @app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
-    version: bool = typer.Option(False, "--version", help="Print the version and stop."),
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
 ) -> None:
     if version:
         from importlib.metadata import version as installed
@@ -69,17 +69,17 @@ def _root(
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; every mistake of the user's is one line on stderr."""
+    """Run one command and return its exit code; every user error is one line on stderr."""
     try:
         code = app(arguments, standalone_mode=False)
-        sys.stdout.flush()  # a full disk is noticed here, not when Python ends
+        sys.stdout.flush()  # reports a full disk here, not when Python ends
     except UserError as error:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
         return _complain(_plain(error.format_message().rstrip(".")) + "; see fmuid --help")
     except (typer.Abort, KeyboardInterrupt):
         return _complain("interrupted", INTERRUPTED)
-    except BrokenPipeError:  # the reader (head, less) has seen enough
+    except BrokenPipeError:  # the reader (head, less) has closed the pipe
         _drop_output()
         return NO
     except OSError as error:  # a disk that is full or gone, a terminal that was closed
@@ -87,14 +87,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
         place = error.filename or "the output"
         return _complain(f"{place}: cannot be read or written ({error.strerror or error})")
     except MemoryError:
-        return _complain("the memory is not enough; use fewer workers, or less data")
+        return _complain("not enough memory; use fewer workers, or less data")
     if code == INTERRUPTED:  # Typer has caught the Ctrl-C
         return _complain("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else DONE
 
 
 def no_escapes_without_colour() -> None:
-    """Have help pages without bold and dim text either where NO_COLOR is set."""
+    """Leave out bold and dim text in help pages if NO_COLOR is set."""
     if os.environ.get("NO_COLOR"):
         from typer import rich_utils
 
@@ -102,12 +102,12 @@ def no_escapes_without_colour() -> None:
 
 
 def warn_in_one_line() -> None:
-    """Have warnings look like errors do."""
+    """Print warnings in the format of errors."""
     warnings.formatwarning = _warning
 
 
 def _plain(message: str) -> str:
-    """Return a message of Typer's with its names of types in plain English."""
+    """Return a message of Typer with plain English names of types."""
     for name, words in (("int", "whole number"), ("float", "number")):
         message = re.sub(rf"a valid {name}( range)?\b", f"a {words}", message)
     return message
@@ -124,5 +124,5 @@ def _complain(message: str, code: int = BAD_INPUT) -> int:
 
 
 def _drop_output() -> None:
-    """Have nothing more written to standard output: not what waits in its buffer either, when Python ends."""
+    """Discard standard output from now on, including what is in its buffer."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

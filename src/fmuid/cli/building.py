@@ -17,12 +17,12 @@ Compiler = Literal["own", "omc"]
 
 def build(
     source: Annotated[
-        Path, typer.Argument(help="A .mo file, the folder of a package, or one that is shipped: Drives.")
+        Path, typer.Argument(help="A .mo file, the folder of a package, or an included package: Drives.")
     ],
     class_name: Annotated[str, typer.Argument(metavar="CLASS", help="Qualified name of the model to export.")],
     out: Annotated[Path, typer.Option(help="Folder for the FMU.", callback=writable)] = Path("build/fmus"),
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = "2",
-    compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc has to be on the PATH.")] = "own",
+    compiler: Annotated[Compiler, typer.Option(help="Modelica front end; omc must be on the PATH.")] = "own",
     root: Roots = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -37,7 +37,7 @@ def build(
     file = found(source)
     if not file.exists():
         packages = sorted(p.parent.name for p in shipped_library().glob("*/package.mo"))
-        fix = f"check the path, or name a package that is shipped: {', '.join(packages)}"
+        fix = f"check the path, or choose an included package: {', '.join(packages)}"
         raise ModelicaError("no such Modelica file", where=source, fix=fix)
     with printer.working(f"building {class_name}"):
         path = build_fmu(file, class_name, out, fmi=fmi, compiler=compiler, roots=root or ())

@@ -25,11 +25,11 @@ def effects(
         ),
     ],
     class_name: Annotated[
-        str | None, typer.Argument(metavar="[CLASS]", help="Class in the file; by default the one with its name.")
+        str | None, typer.Argument(metavar="[CLASS]", help="Class name (default: file name).")
     ] = None,
     root: Roots = None,
     out: Annotated[
-        Path | None, typer.Option(help="Write the catalogue of a campaign's effects here.", callback=writable)
+        Path | None, typer.Option(help="Write the catalogue of a campaign to this file.", callback=writable)
     ] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
@@ -37,10 +37,10 @@ def effects(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """List where something may be missing in a model, and the laws that are looked for there.
+    """List the places of a model where something may be missing, and the laws that may act there.
 
-    Of a campaign, also write the catalogue, to edit it: its sizes come from the recorded runs. `fmuid diagnose`
-    makes the same one itself.
+    For a campaign, also write an editable catalogue, with sizes from the recorded runs; `fmuid diagnose` generates
+    the same one.
 
     Example: fmuid effects campaigns/drive --out campaigns/drive/effects.toml
     """
@@ -52,14 +52,14 @@ def effects(
     if is_modelica(what) and not (what / "campaign.toml").is_file():
         if out is not None:
             raise CampaignError(
-                "sizes of effects come from recorded runs, and a model has none",
+                "sizes of effects come from recorded runs, which a model does not have",
                 where="--out",
-                fix="name a campaign, made with: fmuid init LOG... --model MODEL.mo",
+                fix="choose a campaign, made with: fmuid init LOG... --model MODEL.mo",
             )
         found = _of_model(what, class_name, root or [])
     elif root:
         fix = "write them in campaign.toml, as `roots` of a model"
-        raise CampaignError("a campaign names its models' libraries itself", where="--root", fix=fix)
+        raise CampaignError("the libraries of a campaign are in its campaign.toml", where="--root", fix=fix)
     else:
         with printer.working("simulating the runs"), supervised(workers, time_limit, memory_limit) as runner:
             text, found = _of_campaign(what, runner)

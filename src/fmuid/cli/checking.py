@@ -14,7 +14,9 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 
 def check(
     campaign: CampaignPath,
-    simulate: Annotated[bool, typer.Option(help="Also simulate, to see which parameters move an output.")] = True,
+    simulate: Annotated[
+        bool, typer.Option(help="Also simulate, to find out which parameters affect an output.")
+    ] = True,
     workers: Workers = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
@@ -22,9 +24,9 @@ def check(
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
-    """Check a campaign before a run: files, names, units, signals, solvers, whether each parameter has an effect.
+    """Check a campaign before a run: files, names, units, signals, solvers, and the effect of each parameter.
 
-    What makes a run impossible ends with exit code 2; findings of level error with 1.
+    Exit code 1: there are findings of level error. 2: the campaign cannot be run.
 
     Example: fmuid check campaigns/force_feedback
     """
@@ -39,7 +41,7 @@ def check(
     printer = Printer(quiet, json)
     if simulate:
         with (
-            printer.working("changing the parameters one by one"),
+            printer.working("varying the parameters one by one"),
             supervised(workers, time_limit, memory_limit) as runner,
         ):
             found = with_effects(found, loaded, models, runner)

@@ -19,17 +19,17 @@ _HEADER = ("variable", "NRMSE", "max error", "at s", "outside", "within")
 
 
 def compare(
-    result: Annotated[Path, typer.Argument(help="What to judge: an FMU, a CSV file, or a folder of them.")],
+    result: Annotated[Path, typer.Argument(help="FMU, CSV file, or folder of CSV files to compare.")],
     reference: Annotated[
         Path,
         typer.Argument(
-            help="CSV file with the reference, `time` first, or a folder; for an FMU, with its inputs."
+            help="CSV file of the reference (`time` first), or a folder; for an FMU, including its inputs."
         ),
     ],
     variables: Annotated[
-        list[str] | None, typer.Option("--variable", "-v", help="Compare this one only (repeat for more).")
+        list[str] | None, typer.Option("--variable", "-v", help="Compare this variable only (repeat for more).")
     ] = None,
-    tolerance: Annotated[float, typer.Option(min=0.0, help="Largest NRMSE that is within tolerance.")] = 1e-3,
+    tolerance: Annotated[float, typer.Option(min=0.0, help="Largest acceptable NRMSE.")] = 1e-3,
     funnel: Annotated[
         float | None,
         typer.Option(min=0.0, help="Judge by a funnel of this half-width, as a fraction of the range."),
@@ -39,12 +39,13 @@ def compare(
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter of the FMU (repeat).")
     ] = None,
     interpolation: Annotated[
-        Literal["hold", "linear"], typer.Option(help="Inputs of the FMU between the reference's samples.")
+        Literal["hold", "linear"],
+        typer.Option(help="Interpolation of the FMU's inputs between samples of the reference."),
     ] = "hold",
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Write the table as CSV; for a folder, a report with figures of the variables that are out.",
+            help="Write the table as CSV; for a folder, a report with figures of the variables out of tolerance.",
             callback=writable,
         ),
     ] = None,
@@ -56,8 +57,8 @@ def compare(
 ) -> int:
     """Compare a RESULT with a REFERENCE, variable by variable; exit code 1 if one is out of tolerance.
 
-    NRMSE is the root mean square error at the reference's times over the reference's range. An FMU is simulated
-    with the inputs of each reference.
+    NRMSE is the root mean square error at the reference's times, divided by the reference's range. An FMU is
+    simulated with the inputs of each reference.
 
     Example: fmuid compare FixedShaft.csv references/FixedShaft.csv --tolerance 1e-4
 

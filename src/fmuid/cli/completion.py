@@ -1,4 +1,4 @@
-"""What a shell offers when a name is asked for."""
+"""Completion of names in a shell."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 
 def solvers(incomplete: str) -> list[str]:
-    """Return the names of solvers that begin so; of a chain those of its next link."""
+    """Return the names of solvers with this beginning; in a chain, for its next link."""
     from fmuid.identification.solvers import NAMES
 
     before, arrow, last = incomplete.rpartition(">")
@@ -18,7 +18,7 @@ def solvers(incomplete: str) -> list[str]:
 
 
 def stages(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the names of the campaign's stages that begin so; none as long as the campaign cannot be read."""
+    """Return the names of stages with this beginning; none if the campaign cannot be read."""
     # After an option that still waits for its value, the arguments before it have not been taken yet.
     words = [context.params.get("campaign"), *context.args]
     places = [Path(word) for word in words if word] or [Path()]

@@ -15,15 +15,15 @@ from fmuid.cli.output import Json, Printer, Quiet
 
 def demo(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder for the demo; it must not exist yet.")] = Path("fmuid-demo"),
+    out: Annotated[Path, typer.Option(help="New folder for the demo.")] = Path("fmuid-demo"),
     show: Annotated[
         bool | None,
-        typer.Option("--open/--no-open", help="Open the report in a browser; by default if there is a display."),
+        typer.Option("--open/--no-open", help="Open the report in a browser (default: if there is a display)."),
     ] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show every step on a small drive, from logs and a model to what the model lacks, in less than a minute.
+    """Show every step on a small drive, from logs and a model to the missing effect, in about a minute.
 
     The logs contain an effect that the model lacks. The commands are the same for your own model and logs.
 
@@ -32,7 +32,7 @@ def demo(
     from fmuid.demo.drive import make_rig
 
     printer = Printer(quiet, json)
-    with printer.working("recording the logs of a rig"):
+    with printer.working("simulating the logs of a rig"):
         rig = make_rig(out)
     campaign, run, found = out / "campaign", out / "identified", out / "diagnosis"
     printer.say(f"A drive: its model, and {len(rig.logs)} logs of a rig with an effect that the model lacks.")
@@ -46,7 +46,7 @@ def demo(
         printer.say(f"\n$ fmuid {shlex.join(shown).replace(str(rig.logs[0]), str(out / 'logs' / '*.csv'))}")
         _run(context, [*command, *(["--quiet"] if quiet else [])])
     page = found / "index.html"
-    printer.say(f"\nWhat fmuid was not given: the rig has {rig.lacking}.")
+    printer.say(f"\nThe answer that fmuid did not know: the rig has {rig.lacking}.")
     printer.say(f"Report: {page}")
     printer.next("fmuid init LOG... --model MODEL.mo", "or --fmu MODEL.fmu: the same with your own model and logs")
     printer.write({"out": out, "report": page, "lacking": str(rig.lacking)})

@@ -15,14 +15,14 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
 
 
 class For(StrEnum):
-    """What an experiment is for."""
+    """Purpose of an experiment."""
 
     DIAGNOSIS = "diagnosis"
     PARAMETERS = "parameters"
 
 
 class Optimality(StrEnum):
-    """What becomes least."""
+    """Criterion of a design for parameters."""
 
     D = "D"
     A = "A"
@@ -35,18 +35,20 @@ def design(
     ],
     for_: Annotated[
         For,
-        typer.Option("--for", help="diagnosis: to tell its answers apart; parameters: to shrink their intervals."),
+        typer.Option("--for", help="diagnosis: separate its answers; parameters: shrink their intervals."),
     ],
     from_: Annotated[
         Path | None,
         typer.Option("--from", metavar="RUN", help="Run folder of identify or diagnose for this campaign."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder; runs/<campaign>-design by default.", callback=writable)
+        Path | None, typer.Option(help="Output folder (default: runs/<campaign>-design).", callback=writable)
     ] = None,
-    stage: Annotated[str | None, typer.Option(help="Parameters of this stage; all free ones by default.")] = None,
+    stage: Annotated[
+        str | None, typer.Option(help="Use the parameters of this stage (default: all free parameters).")
+    ] = None,
     optimality: Annotated[
-        Optimality, typer.Option(help="D: least volume of what parameters may be; A: least sum of squared errors.")
+        Optimality, typer.Option(help="D: smallest confidence region; A: smallest sum of squared relative errors.")
     ] = Optimality.D,
     evaluations: Annotated[int, typer.Option(min=8, help="Excitations to try.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the search and of random phases.")] = 0,
@@ -57,9 +59,9 @@ def design(
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
-    """Design the next experiment within the campaign's limits: an input as CSV, and what it will tell.
+    """Design the next experiment within the campaign's limits: an input as CSV, and its expected information.
 
-    Limits are in the `limits` table of campaign.toml. For parameters, nothing needs to be measured yet.
+    Limits are in the `limits` table of campaign.toml. A design for parameters needs no measurements.
 
     Example: fmuid design campaigns/drive --for parameters --out runs/next
     Example: fmuid design runs/drive-diagnosis --for diagnosis

@@ -1,4 +1,4 @@
-"""A diagnosis on a terminal: where, what, how much."""
+"""Print a diagnosis: where, what, how much."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
 
 
 def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
-    """Print what the corrected model is and which runs judge it, errors by run and signal, then gaps by run."""
+    """Print the correction, the runs that test it, errors by run and signal, and gaps by run."""
     from fmuid.diagnosis.cross_validation import share_closed
     from fmuid.diagnosis.validation import law_of
 
@@ -36,11 +36,14 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
     elif verdict["effects"]:
         printer.say(f"corrected: with {' and '.join(verdict['effects'])}")
     else:
-        printer.say("corrected: nothing, for the diagnosis names no effect; both are the nominal model refitted")
+        printer.say(
+            "corrected: nothing, because the diagnosis names no effect; both columns are the refitted nominal"
+            " model"
+        )
     if found.used is None:
-        printer.say("the diagnosis does not say which runs it was made from; those below may be among them")
+        printer.say("the diagnosis does not record its runs; those below may be among them")
     elif found.used:
-        printer.say(f"used for the diagnosis, so no test of it: {', '.join(found.used)}")
+        printer.say(f"used for the diagnosis, so not a test of it: {', '.join(found.used)}")
     else:
         printer.say(f"not used for the diagnosis: {', '.join(found.runs)}")
     for note in found.notes:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fmuid.identification.validate import Validation
     from fmuid.simulation.runners import Runner
 
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that fmuid identify wrote.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder of fmuid identify.")]
 Dask = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Simulate on the Dask cluster of this scheduler.")
 ]
@@ -34,7 +34,7 @@ Dask = Annotated[
 def identify(
     campaign: CampaignPath,
     out: Annotated[
-        Path | None, typer.Option(help="Run folder; runs/<campaign> by default.", callback=writable)
+        Path | None, typer.Option(help="Run folder (default: runs/<campaign>).", callback=writable)
     ] = None,
     stage: Annotated[
         list[str] | None,
@@ -52,7 +52,7 @@ def identify(
     dask: Dask = None,
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
-    seed: Annotated[int, typer.Option(help="Seed of random starts and solvers.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed for random solvers and start points.")] = 0,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Also write the report.")] = True,
     trust: Trust = False,
     json: Json = None,
@@ -118,7 +118,7 @@ def identify(
                 summary |= _write_back(result, loaded, folder, printer, runner)
     if result.status not in (Status.INTERRUPTED, Status.FAILED):
         unexplained = any("run fmuid diagnose" in warning for stage in result.stages for warning in stage.warnings)
-        why = "what the model misses" if unexplained else "whether the model misses something"
+        why = "what the model misses" if unexplained else "does the model miss something?"
         printer.next(shlex.join(["fmuid", "diagnose", str(folder)]), why)
     printer.write(summary)
     return INTERRUPTED if interrupted else int(result.status is Status.FAILED)
@@ -126,22 +126,25 @@ def identify(
 
 def validate(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder of fmuid identify, or the JSON file of fmuid diagnose.")
+        Path,
+        typer.Argument(metavar="RUN", help="Run folder of fmuid identify, or the JSON file of fmuid diagnose."),
     ],
     campaign: Annotated[
-        Path | None, typer.Argument(metavar="[CAMPAIGN]", help="Validate on it, not on the run's own campaign.")
+        Path | None,
+        typer.Argument(metavar="[CAMPAIGN]", help="Validate on this campaign instead of the run's own."),
     ] = None,
     experiment: Annotated[
         list[str] | None,
         typer.Option(
-            "--experiment", "-e", help="Id or glob; by default the validation set, without runs that were used."
+            "--experiment", "-e", help="Id or glob (default: the validation set, without runs that were used)."
         ),
     ] = None,
     measurements: Annotated[
-        Path | None, typer.Option(help="Of a diagnosis: validate on all the runs of this measurement file.")
+        Path | None, typer.Option(help="For a diagnosis: validate on all runs of this measurement file.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Write measurements and predictions as CSV into it.", callback=writable)
+        Path | None,
+        typer.Option(help="Write measurements and predictions as CSV into this folder.", callback=writable),
     ] = None,
     workers: Workers = None,
     time_limit: TimeLimit = None,
@@ -149,10 +152,10 @@ def validate(
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
-    """Simulate runs that were kept for validation with what a run found, beside the sensors' noise.
+    """Simulate the validation runs with the identified values and compare the errors with the sensor noise.
 
-    Of a diagnosis, the corrected model is held against the nominal one with its parameters refitted, on runs that
-    the diagnosis was not made from. Exit code 1: a run cannot be simulated; the table says why.
+    For a diagnosis, the corrected model is compared with the refitted nominal one, on runs that the diagnosis was
+    not made from. Exit code 1: a run cannot be simulated; the table gives the reason.
 
     Example: fmuid validate runs/force_feedback
     Example: fmuid validate runs/diagnosis/diagnosis.json campaigns/force_feedback
@@ -166,7 +169,7 @@ def validate(
             printer.write(_diagnosis_validation(asked, printer, runner))
             return 0
         if measurements is not None:
-            raise FmuidError("is for a diagnosis", where="--measurements", fix="name a campaign with these runs")
+            raise FmuidError("is for a diagnosis", where="--measurements", fix="choose a campaign with these runs")
         found = _validated(Result.from_json(run), printer, runner, campaign, experiment)
     printer.write(_validation(found, printer, out))
     return int(any(score.failure is not None for score in found.scores))
@@ -175,26 +178,26 @@ def validate(
 def diagnose(
     campaign: Annotated[
         Path,
-        typer.Argument(metavar="CAMPAIGN|RUN", help="A folder with a campaign.toml, or one of fmuid identify."),
+        typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign or the run folder of fmuid identify."),
     ],
     from_: Annotated[
         Path | None,
-        typer.Option("--from", metavar="RUN", help="Start from the values that this identification found."),
+        typer.Option("--from", metavar="RUN", help="Start from the values of this identification."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results; runs/<campaign>-diagnosis by default.", callback=writable),
+        typer.Option(help="Output folder (default: runs/<campaign>-diagnosis).", callback=writable),
     ] = None,
     experiment: Annotated[
         list[str] | None,
         typer.Option(
             "--experiment",
             "-e",
-            help="Id or glob (repeat); by default the campaign's choice, without validation runs.",
+            help="Id or glob (repeat; default: the campaign's choice, without validation runs).",
         ),
     ] = None,
     measurements: Annotated[
-        Path | None, typer.Option(help="Diagnose these measurements, not the campaign's own.")
+        Path | None, typer.Option(help="Diagnose these measurements instead of the campaign's own.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the diagnosis in --out.")] = False,
     workers: Workers = None,
@@ -204,10 +207,15 @@ def diagnose(
     seed: Annotated[int, typer.Option(help="Seed of the null distribution and the bootstrap.")] = 0,
     calibrate: Annotated[
         int,
-        typer.Option(min=0, help="First diagnose this many plants simulated from the fitted model and its noise."),
+        typer.Option(
+            min=0,
+            help=(
+                "First calibrate probabilities on this many plants simulated from the fitted model and its noise."
+            ),
+        ),
     ] = 0,
     law: Annotated[
-        bool, typer.Option(help="Look for an equation where no effect of the catalogue explains the gap.")
+        bool, typer.Option(help="Search for an equation if no effect of the catalogue explains the gap.")
     ] = True,
     trust: Trust = False,
     json: Json = None,
@@ -215,9 +223,8 @@ def diagnose(
 ) -> None:
     """Locate the gap between model and measurements, and name the unmodelled effect that causes it.
 
-    Exit code 0: any answer, be it "complete", "A or B" or "unknown". 130: interrupted; continue with `--resume`.
-
-    The folder gets `corrected`: the model with the named effects, and a campaign that goes on from it.
+    Exit code 0: any answer, also "A or B" or "unknown". 130: interrupted; continue with `--resume`. The output
+    folder contains `corrected`: the model with the named effects, and a campaign that continues from it.
 
     Example: fmuid diagnose campaigns/force_feedback --out runs/diagnosis
     Example: fmuid diagnose runs/force_feedback
@@ -258,13 +265,13 @@ def diagnose(
     printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
     if answer.get("corrected"):
         corrected, named = folder / FOLDER, " and ".join(answer["corrected"])
-        printer.say(f"corrected: {corrected} (the model with {named}, the values found, and a campaign)")
+        printer.say(f"corrected: {corrected} (the model with {named}, the estimated values, and a campaign)")
         again = shlex.join(["fmuid", "diagnose", str(corrected)])
-        printer.next(again, "whether something is missing beside it; fmuid identify takes the folder, too")
+        printer.next(again, "is anything else missing? fmuid identify also accepts this folder")
     left_open = answer["verdict"]["kind"] in ("ambiguous", "partial", "unknown")
     if left_open and not found.subject.observed.nuisances:  # segments begin where a run was measured
         further = shlex.join(["fmuid", "design", str(folder), "--for", "diagnosis"])
-        printer.next(further, "the run that tells best what is still open")
+        printer.next(further, "the run that best settles what is still open")
     printer.write(answer)
 
 
@@ -304,7 +311,7 @@ def report(
 
 
 class _Judged(NamedTuple):
-    """A diagnosis, and what it is judged by."""
+    """A diagnosis with its campaign and measurements."""
 
     file: Path
     campaign: Path | None
@@ -329,7 +336,7 @@ def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> d
 
 
 def _found_before(folder: Path) -> Result | None:
-    """Return the result of a run that was killed before all was written that follows from it."""
+    """Return the result of a run that was killed before its last files were written."""
     from fmuid.identification.history import JOURNAL
     from fmuid.identification.identified_models import PARAMETERS
     from fmuid.identification.result import FILE, Result
@@ -354,7 +361,7 @@ def _write_back(
 
 
 def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any]) -> str:
-    """Return the command that goes on with an interrupted one."""
+    """Return the command that continues an interrupted one."""
     words = ["fmuid", command, str(campaign), "--out", str(folder)]
     for name, value in options.items():
         for one in value if isinstance(value, list) else [value]:
@@ -364,7 +371,7 @@ def _again(command: str, campaign: Path, folder: Path, options: Mapping[str, Any
 
 @contextmanager
 def _told_how_to_go_on(journal: Path, again: str, printer: Printer) -> Iterator[None]:
-    """Say at the end how to continue what was interrupted."""
+    """Print at the end how to continue an interrupted command."""
     try:
         yield
     finally:
@@ -374,7 +381,7 @@ def _told_how_to_go_on(journal: Path, again: str, printer: Printer) -> Iterator[
 
 @contextmanager
 def _told_how_to_look(folder: Path, printer: Printer) -> Iterator[None]:
-    """Say at the end how to see what an interrupted run left; nobody waits for figures then."""
+    """Print at the end how to see the results of an interrupted run, without waiting for figures."""
     from fmuid.identification.history import JOURNAL
     from fmuid.identification.result import FILE
 
@@ -387,7 +394,7 @@ def _told_how_to_look(folder: Path, printer: Printer) -> Iterator[None]:
         raise
     finally:
         if (folder / JOURNAL).exists() and not isinstance(sys.exception(), FmuidError):
-            printer.say(f"or look at what was reached with: {report}")
+            printer.say(f"or write a report of the results so far with: {report}")
 
 
 def _progress(quiet: bool) -> Any:

@@ -21,16 +21,20 @@ if TYPE_CHECKING:
 
 _METHODS = ("linear", "hold", "mean")
 _ROWS = 12  # of runs in a table
-Signals = Annotated[list[str] | None, typer.Option("--signal", help="Take this signal only (repeat).")]
+Signals = Annotated[list[str] | None, typer.Option("--signal", help="Use this signal only (repeat).")]
 Resample = Annotated[
     float | None,
-    typer.Option(metavar="RATE", help="Bring all signals onto one time base of RATE samples a second."),
+    typer.Option(metavar="RATE", help="Resample all signals at RATE samples per second."),
 ]
-Align = Annotated[str | None, typer.Option(metavar="SIGNAL", help="Bring all signals onto the times of this one.")]
+Align = Annotated[
+    str | None, typer.Option(metavar="SIGNAL", help="Resample all signals at the times of this one.")
+]
 Methods = Annotated[
     list[str] | None,
     typer.Option(
-        "--method", metavar="[SIGNAL=]METHOD", help="How, for all or one (repeat): linear (default), hold or mean."
+        "--method",
+        metavar="[SIGNAL=]METHOD",
+        help="Resampling method, for all signals or one (repeat): linear (default), hold or mean.",
     ),
 ]
 Columns = Annotated[
@@ -59,7 +63,9 @@ def import_(
         ),
     ],
     setup: Annotated[str, typer.Option(help="Setup that the runs were made with.")],
-    input_: Annotated[list[str], typer.Option("--input", "-i", help="Signal that drives the model (repeat).")],
+    input_: Annotated[
+        list[str], typer.Option("--input", "-i", help="Input signal, which drives the model (repeat).")
+    ],
     out: Annotated[Path, typer.Option(help="Measurement file to write.", callback=writable)] = Path(
         "measurements.h5"
     ),
@@ -73,7 +79,7 @@ def import_(
         list[str] | None,
         typer.Option(
             metavar="[RUN:]NAME=VALUE",
-            help="Known value that the runs set, or those that RUN (a glob) names (repeat).",
+            help="Known value of all runs, or of those that match RUN, a glob (repeat).",
         ),
     ] = None,
     columns: Columns = None,
@@ -81,35 +87,38 @@ def import_(
     cut: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="[RUN:]FROM..TO", help="Keep this time span (s) only; either end may be left out (repeat)."
+            metavar="[RUN:]FROM..TO", help="Keep only this time span, s; either end may be omitted (repeat)."
         ),
     ] = None,
-    from_zero: Annotated[bool, typer.Option("--from-zero", help="Time of the first sample becomes 0.")] = False,
+    from_zero: Annotated[
+        bool, typer.Option("--from-zero", help="Shift time so that the first sample is at 0.")
+    ] = False,
     shift: Annotated[
         list[str] | None,
-        typer.Option(metavar="SIGNAL=SECONDS", help="A signal's samples belong so much later (repeat)."),
+        typer.Option(metavar="SIGNAL=SECONDS", help="Shift the samples of a signal by this time, s (repeat)."),
     ] = None,
     mask: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CONDITION", help='Leave out the samples of outputs where it holds: "abs(tau) > 40" (repeat).'
+            metavar="CONDITION", help='Mask samples of outputs where a condition holds: "abs(tau) > 40" (repeat).'
         ),
     ] = None,
     machine: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="[RUN:]NAME", help="Which unit was measured, in all runs or those that RUN names (repeat)."
+            metavar="[RUN:]NAME",
+            help="Machine that was measured, in all runs or in those that match RUN (repeat).",
         ),
     ] = None,
-    repeats: Annotated[bool, typer.Option("--repeats", help="Runs with the same inputs are repeats.")] = False,
+    repeats: Annotated[bool, typer.Option("--repeats", help="Mark runs with the same inputs as repeats.")] = False,
     append: Annotated[bool, typer.Option("--append", help="Add the runs to the file at --out.")] = False,
     title: Annotated[str, typer.Option(help="Title of the measurement file.")] = "",
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Import recorded runs into a measurement file; a run's id is its file's name.
+    """Import recorded runs into a measurement file; the id of a run is the name of its file.
 
-    Signals with different time bases are refused until you say what to bring them onto.
+    Signals with different time bases are refused until you choose a common one.
 
     Example: fmuid import step.csv prbs.csv --setup fixed_shaft --input i_cmd --out measurements.h5
 
@@ -231,9 +240,7 @@ def init(
     ],
     fmu: Annotated[Path | None, typer.Option(help="The FMU to identify.")] = None,
     model: Annotated[Path | None, typer.Option(help="Or the Modelica file of the model to identify.")] = None,
-    class_name: Annotated[
-        str | None, typer.Option("--class", help="Its class; by default called like the file.")
-    ] = None,
+    class_name: Annotated[str | None, typer.Option("--class", help="Class name (default: file name).")] = None,
     root: Roots = None,
     out: Annotated[Path, typer.Option(help="Folder of the new campaign.", callback=writable)] = Path("campaign"),
     signal: Signals = None,
@@ -278,9 +285,11 @@ def init(
         )
     for line in made.guesses:
         printer.say(line)
-    printer.say(f"{out / 'campaign.toml'}: what was guessed, to look through")
+    printer.say(f"{out / 'campaign.toml'}: please review these guesses")
     command = shlex.join(["fmuid", "identify", str(out)])
-    printer.next(command, "values and standard errors of the free parameters; fmuid check says what they rest on")
+    printer.next(
+        command, "values and standard errors of the free parameters; fmuid check shows what the runs determine"
+    )
     printer.write({"out": out, "guesses": made.guesses})
 
 
@@ -292,7 +301,7 @@ def layout_of(columns: str | None, rate: float | None) -> TableLayout:
 
 
 def _of_run(texts: list[str], run: str) -> list[str]:
-    """Return what is said of all runs or of this one: RUN:TEXT, RUN being a glob."""
+    """Return the texts that apply to all runs or to this one: RUN:TEXT, with RUN a glob."""
     from fnmatch import fnmatchcase
 
     found = []
@@ -316,7 +325,7 @@ def _span(texts: list[str]) -> tuple[float, float]:
             dots = ""
         if not dots or not span[0] < span[1]:
             raise FmuidError(
-                f"'{text}' is no time span", where="--cut", fix="write it as in --cut 0.5..10 or --cut 0.5.."
+                f"'{text}' is not a time span", where="--cut", fix="write it as in --cut 0.5..10 or --cut 0.5.."
             )
     return span
 
@@ -342,7 +351,7 @@ def _time_base(rate: float | None, align: str | None, methods: list[str]) -> Tim
             raise FmuidError(f"no method '{method}'", where="--method", fix=f"known: {', '.join(_METHODS)}")
     if rate is None and align is None:
         if methods:
-            raise FmuidError("--method without a time base", fix="give --resample RATE or --align SIGNAL too")
+            raise FmuidError("--method without a time base", fix="also give --resample RATE or --align SIGNAL")
         return None
     if rate is not None and align is not None:
         raise FmuidError("--resample and --align are two time bases", fix="leave one out")

@@ -1,4 +1,4 @@
-"""Ctrl-C, and the signals by which batch systems and closed terminals stop a program."""
+"""Ctrl-C, and the signals with which batch systems and closed terminals stop a program."""
 
 from __future__ import annotations
 
@@ -16,16 +16,12 @@ _MOMENT = 0.01  # s
 
 
 class Interruption:
-    """Turns the first signal into a `KeyboardInterrupt`, so that what was reached is saved.
+    """Turns the first signal into a `KeyboardInterrupt`, so that results are saved.
 
-    A second Ctrl-C or SIGTERM ends the process at once: everything is on disk, but for a summary that can be made
-    again. A signal that whoever started the process has it ignore (as nohup does) stays ignored.
-
-    Where an exception would leave locks of the import system held, or would be ignored as those of finalizers are,
-    it is raised a moment later.
-
-    An interrupted process ends without taking Python down: extension modules that were only half loaded can crash
-    then.
+    A second Ctrl-C or SIGTERM ends the process at once: everything is on disk except a summary that can be made
+    again. Signals that are ignored from the start (as with nohup) stay ignored. If an exception would leave locks
+    of the import system held, or would be ignored as in finalizers, it is raised a moment later. An interrupted
+    process ends without finalising Python, because half-loaded extension modules can crash then.
     """
 
     def __init__(self) -> None:
@@ -40,7 +36,7 @@ class Interruption:
                 signal.signal(number, self._received)
 
     def end(self, code: int) -> None:
-        """Have every further Ctrl-C end the process at once, with this code: there is nothing left to save."""
+        """End the process at once with this code at any further Ctrl-C: nothing is left to save."""
         self._stopping, self._code = True, code
 
     def _leave(self) -> None:

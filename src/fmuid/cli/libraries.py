@@ -1,4 +1,4 @@
-"""Folders of Modelica libraries that commands are given."""
+"""Folders of Modelica libraries given to commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def found(path: Path) -> Path:
 
 
 def shipped_library() -> Path:
-    """Return the folder of the Modelica packages beside the code, installed or in a clone."""
+    """Return the folder of the included Modelica packages, installed or in a clone."""
     spec = find_spec("modelica")
     places = (spec and spec.submodule_search_locations) or ()
     return next(place for place in map(Path, places) if place.is_dir())
@@ -28,7 +28,7 @@ Roots = Annotated[
     typer.Option(
         "--root",
         metavar="FOLDER",
-        help="Folder with libraries of the Modelica model (repeat); modelica is the one that is shipped.",
+        help="Folder with libraries of the Modelica model (repeat); modelica is the included one.",
         callback=lambda folders: [found(folder) for folder in folders or ()],
     ),
 ]

@@ -1,4 +1,4 @@
-"""What commands print and write."""
+"""Output of commands: text, tables and JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fmuid.core.files import check_folder
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Call functions that the campaign names: they are its author's code.")
+    bool, typer.Option("--trust", help="Allow functions that the campaign names, which are its author's code.")
 ]
 CampaignPath = Annotated[
     Path, typer.Argument(metavar="CAMPAIGN", help="A folder with a campaign.toml, or the file.")
@@ -26,7 +26,7 @@ CampaignPath = Annotated[
 
 
 def writable(context: typer.Context, place: Path | None) -> Path | None:
-    """Refuse a folder, or a file in one, that cannot be written, before there is anything to write.
+    """Refuse a folder or file that cannot be written, before the work begins.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def writable(context: typer.Context, place: Path | None) -> Path | None:
 
 
 class Printer:
-    """Prints unless told to be quiet, and writes the JSON file."""
+    """Prints unless it is quiet, and writes the JSON file."""
 
     def __init__(self, quiet: bool = False, json_file: Path | None = None) -> None:
         if json_file is not None:
@@ -53,7 +53,7 @@ class Printer:
             typer.echo(text)
 
     def next(self, command: str, why: str) -> None:
-        """Say which command comes next, and what for."""
+        """Print the next command and its purpose."""
         self.say(f"next: {command}  ({why})")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -70,7 +70,7 @@ class Printer:
 
     @contextmanager
     def working(self, what: str) -> Iterator[Callable[..., None]]:
-        """Show on a terminal what is being done; yield what takes the share that is behind, and a new text."""
+        """Show progress on a terminal; yield a function of the fraction done (0 to 1) and a new text."""
         if self.quiet or not sys.stderr.isatty():
             yield _say_nothing
             return
@@ -80,7 +80,7 @@ class Printer:
             yield shown
 
     def write(self, result: Mapping[str, Any]) -> None:
-        """Write `result` to the JSON file, if one was asked for; NaN and infinities become null."""
+        """Write `result` to the JSON file, if requested; NaN and infinities become null."""
         if self.json_file is not None:
             from fmuid.core.files import write_atomically
 
@@ -88,7 +88,7 @@ class Printer:
 
 
 def command_line(context: typer.Context) -> str:
-    """Return the command that is being run, as it can be given again."""
+    """Return the running command, quoted for a shell."""
     import shlex
 
     words: list[str] = []
@@ -135,7 +135,7 @@ def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def _say_nothing(*_: object) -> None:
-    """Take what nobody is there to read."""
+    """Discard all text."""
 
 
 def _cell(value: object) -> str:

@@ -16,14 +16,14 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
 
 
 class Way(StrEnum):
-    """How sensitivity is measured."""
+    """Method of a sensitivity analysis."""
 
     SOBOL = "sobol"
     MORRIS = "morris"
 
 
 class Of(StrEnum):
-    """The scalar that each output becomes."""
+    """Scalar that is computed from each output."""
 
     CHANGE = "change"
     CRITERION = "criterion"
@@ -35,17 +35,22 @@ class Of(StrEnum):
 
 def sensitivity(
     campaign: Annotated[
-        Path, typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign, or what identify made of it.")
+        Path, typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign or the run folder of fmuid identify.")
     ],
     method: Annotated[
         Way, typer.Option(help="sobol: shares of the variance; morris: a ranking from few simulations.")
     ] = Way.SOBOL,
     of: Annotated[
-        Of, typer.Option(help="Of each output: its change in standard deviations of the noise, or another scalar.")
+        Of,
+        typer.Option(
+            help="Scalar of each output: its change in standard deviations of the noise, or another one."
+        ),
     ] = Of.CHANGE,
     stage: Annotated[
         str | None,
-        typer.Option(help="Parameters and runs of this stage; all free ones by default.", autocompletion=stages),
+        typer.Option(
+            help="Use the parameters and runs of this stage (default: all free parameters).", autocompletion=stages
+        ),
     ] = None,
     experiment: Annotated[
         list[str] | None, typer.Option("--experiment", "-e", help="Id or glob of the runs (repeat for more).")
@@ -60,7 +65,7 @@ def sensitivity(
         typer.Option(help="Base samples, a power of two (sobol, 256), or trajectories (morris, 20)."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder; runs/<campaign>-sensitivity by default.", callback=writable)
+        Path | None, typer.Option(help="Output folder (default: runs/<campaign>-sensitivity).", callback=writable)
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the draws and of the bootstrap.")] = 0,
     workers: Workers = None,
@@ -70,9 +75,9 @@ def sensitivity(
     json: Json = None,
     quiet: Quiet = False,
 ) -> int:
-    """Say which parameters matter to which output over their whole ranges (Sobol', Morris).
+    """Rank the parameters by their effect on each output over their whole ranges (Sobol', Morris).
 
-    Parameters are drawn between their bounds, or from their priors. Nothing need be measured yet.
+    Parameters are drawn between their bounds, or from their priors. No measurements are needed.
 
     Example: fmuid sensitivity campaigns/drive --method morris
     Example: fmuid sensitivity campaigns/drive --input runs/next/input.csv
@@ -105,6 +110,6 @@ def sensitivity(
     printer.say(f"\n{folder / FILE_NAME}\npage: {folder / 'index.html'}")
     if not len(loaded.measurements):
         again = shlex.join(["fmuid", "design", str(campaign), "--for", "parameters"])
-        printer.next(again, "the run that determines these parameters best")
+        printer.next(again, "the run that best determines these parameters")
     printer.write(answer_of_sensitivity(found, loaded))
     return INTERRUPTED if found.interrupted else 0

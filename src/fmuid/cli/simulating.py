@@ -21,7 +21,9 @@ _NO_NUMBERS = ("String", "Binary", "Clock")
 
 
 def simulate(
-    model: Annotated[Path, typer.Argument(metavar="FMU|SSP|CAMPAIGN", help="An .fmu or .ssp file, or campaign.")],
+    model: Annotated[
+        Path, typer.Argument(metavar="FMU|SSP|CAMPAIGN", help="An .fmu or .ssp file, or a campaign.")
+    ],
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter (repeat for more)."),
@@ -31,7 +33,9 @@ def simulate(
     ] = None,
     input_: Annotated[
         Path | None,
-        typer.Option("--input", metavar="CSV", help="Inputs of an FMU over time; sets its times too."),
+        typer.Option(
+            "--input", metavar="CSV", help="CSV file with the inputs of an FMU; also sets the output times."
+        ),
     ] = None,
     stop: Annotated[float | None, typer.Option(help="Stop time of an FMU, s.")] = None,
     step: Annotated[float | None, typer.Option(help="Output step of an FMU, s.")] = None,
@@ -39,12 +43,13 @@ def simulate(
         list[str] | None, typer.Option("--output", help="Record this variable (repeat for more).")
     ] = None,
     interpolation: Annotated[
-        Literal["hold", "linear"], typer.Option(help="Inputs between the samples of --input.")
+        Literal["hold", "linear"], typer.Option(help="Interpolation between the samples of --input.")
     ] = "hold",
     master: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="WORD=VALUE", help="How FMUs of an .ssp are stepped, in the words of campaign.toml: step=1e-3."
+            metavar="WORD=VALUE",
+            help="Option of the master of an .ssp, with the keys of campaign.toml: step=1e-3.",
         ),
     ] = None,
     out: Annotated[
@@ -58,7 +63,7 @@ def simulate(
 ) -> None:
     """Simulate an FMU, coupled FMUs (SSP), or the runs of a campaign at its start values, and write CSV files.
 
-    Of an FMU, the inputs are written beside the outputs, so that the file can be a reference for fmuid compare.
+    For an FMU, the file contains inputs and outputs, so it can be a reference for fmuid compare.
 
     Example: fmuid simulate FixedShaft.fmu --input step.csv --set d_S=2.66 --out result.csv
 
@@ -69,7 +74,7 @@ def simulate(
     printer = Printer(quiet, json)
     values = numbers(set_ or [], "--set")
     if master and model.suffix != ".ssp":
-        raise FmuidError("--master applies to .ssp files only", fix="write its words into campaign.toml")
+        raise FmuidError("--master applies to .ssp files only", fix="write its keys into campaign.toml")
     if model.suffix in (".fmu", ".ssp"):
         if experiment:
             raise FmuidError("--experiment applies to campaigns only", fix="leave it out for an FMU")
@@ -127,7 +132,7 @@ def _simulate_fmu(
     if input_ is not None:
         table = read_csv(input_)
         if stop is not None or step is not None:
-            raise FmuidError("--input brings its own times", fix="leave out --stop and --step")
+            raise FmuidError("--input already has times", fix="leave out --stop and --step")
         time, recorded, units = table.time, dict(table.columns), dict(table.units)
         for name, samples in table.columns.items():
             if name not in variables or variables[name].causality != "input":
@@ -212,7 +217,7 @@ def _simulate_campaign(
 
 
 def _nrmse(error: FloatArray, measured: FloatArray) -> float:
-    """Return the root mean square error over the range of the measurement."""
+    """Return the root mean square error divided by the range of the measurement."""
     if not error.size:
         return float("nan")
     scale = float(measured.max() - measured.min()) or 1.0

@@ -15,13 +15,20 @@ Workers = Annotated[
     int | None,
     typer.Option(
         min=0,
-        help="Worker processes, where a crashing FMU costs one evaluation; one per processor by default. 0: none.",
+        help=(
+            "Number of worker processes, in which a crashing FMU costs one evaluation (default: one per"
+            " processor; 0: none)."
+        ),
     ),
 ]
-TimeLimit = Annotated[float | None, typer.Option(min=0.0, help="Longest time per simulation, s; 300 by default.")]
+TimeLimit = Annotated[float | None, typer.Option(min=0.0, help="Longest time per simulation, s (default: 300).")]
 MemoryLimit = Annotated[
     int | None,
-    typer.Option(min=1, metavar="MB", help="Most memory per worker; by default they share half of the machine's."),
+    typer.Option(
+        min=1,
+        metavar="MB",
+        help="Largest memory per worker, MB (default: an equal share of half of the machine's memory).",
+    ),
 ]
 
 
@@ -29,7 +36,7 @@ MemoryLimit = Annotated[
 def supervised(
     workers: int | None = None, time_limit: float | None = None, memory_limit: int | None = None
 ) -> Iterator[Runner]:
-    """Yield what a command simulates with; `memory_limit` in MB."""
+    """Yield the runner of a command's simulations; `memory_limit` in MB."""
     from fmuid.simulation.pool.choice import runner_on
 
     with runner_on(workers, time_limit=time_limit, memory_limit=in_bytes(memory_limit)) as runner:
