@@ -33,6 +33,7 @@ from fmuid import (
 )
 from fmuid.core.folder_lock import LockedError, claim
 from fmuid.core.journal import Journal, JournalError, records
+from fmuid.identification import history as history_module
 from fmuid.identification.history import _MAGIC, JOURNAL, History, HistoryError
 from fmuid.identification.recorded_rows import Row, Rows
 
@@ -135,6 +136,18 @@ def test_ctrl_c_keeps_what_was_reached_and_resume_goes_on_exactly(tmp_path, msd,
     assert threading.active_count() == threads
     assert problem.cases[0].simulator.count <= whole.stages[0].evaluations - 11
     assert not (tmp_path / JOURNAL).exists()
+
+
+def test_a_large_journal_leaves_out_residuals_and_a_resumed_search_ends_the_same(tmp_path, msd, monkeypatch):
+    whole = identify(msd(), solver="trf", with_uncertainty=False)
+    identify(msd(), solver="trf", out=tmp_path / "all", observer=Interrupt(12))
+    monkeypatch.setattr(history_module, "_LARGEST", 10_000)
+    identify(msd(), solver="trf", out=tmp_path / "some", observer=Interrupt(12))
+    sizes = [(tmp_path / folder / JOURNAL).stat().st_size for folder in ("all", "some")]
+    assert sizes[1] < 0.7 * sizes[0]
+    resumed = identify(msd(), solver="trf", out=tmp_path / "some", resume=True, with_uncertainty=False)
+    assert resumed.parameters == whole.parameters
+    assert resumed.stages[0].evaluations == whole.stages[0].evaluations
 
 
 def test_history_holds_every_evaluation_and_the_predictions_of_the_improving_ones(tmp_path, msd):

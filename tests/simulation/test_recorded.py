@@ -41,13 +41,13 @@ def work(folder, model, *, resume=False, stop=None):
         return found
 
 
-@pytest.mark.parametrize(("largest", "kept"), [(2**30, 8), (20_000, 3)])
+@pytest.mark.parametrize(("largest", "kept"), [(2**30, 8), (20_000, 2)])
 def test_a_record_ends_before_it_fills_the_disk_and_the_result_is_the_same(tmp_path, monkeypatch, largest, kept):
     monkeypatch.setattr(recorded, "_LARGEST", largest)
     model = Doubling()
     with pytest.raises(KeyboardInterrupt):
         work(tmp_path, model, stop=8)
-    assert (tmp_path / "a.journal").stat().st_size < largest + 9_000
+    assert (tmp_path / "a.journal").stat().st_size < largest + 1_000
     model.simulated.clear()
     found = work(tmp_path, model, resume=True)
     assert model.simulated == [float(k) for k in range(kept, 10)]

@@ -50,6 +50,11 @@ class Journal:
         self._file.truncate(self._end)
 
     @property
+    def size(self) -> int:
+        """Size of the file, bytes."""
+        return self._end
+
+    @property
     def closed(self) -> bool:
         """Whether the journal is closed for appending."""
         return self._file.closed

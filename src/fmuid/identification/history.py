@@ -50,6 +50,7 @@ from fmuid.identification.recorded_rows import Row, Rows
 JOURNAL, FILE = "history.journal", "history.h5"
 FORMAT, VERSION = "fmuid-history", 1
 _MAGIC = b"fmuid-journal 2\n"
+_LARGEST = 64_000_000  # bytes of a journal up to which residuals are recorded
 
 
 class HistoryError(FmuidError):
@@ -210,7 +211,7 @@ class History:
             purpose,
             evaluation.seconds,
             improved,
-            evaluation.residuals if residuals and self._journal is not None else None,
+            evaluation.residuals if residuals and self._journal is not None and not self._full else None,
             evaluation.predictions if improved else (),
         )
         rows = self.stages[stage].rows
@@ -218,6 +219,11 @@ class History:
         if stage in self._known:
             self._known[stage][row.search.tobytes()] = len(rows) - 1
         self._append("row", {"stage": stage, **_packed(row)})
+
+    @property
+    def _full(self) -> bool:
+        """Whether the journal is so large that an interrupted search has to repeat evaluations to resume."""
+        return self._journal is not None and self._journal.size >= _LARGEST
 
     def recall(self, stage: str, x: FloatArray, residuals: bool) -> Evaluation | None:
         """Return the evaluation of an interrupted run at `x`, if recorded."""

@@ -20,7 +20,7 @@ from fmuid.simulation.simulator import Simulator, Task
 
 _MAGIC = b"fmuid-simulations 1\n"
 _TASKS = 256  # number of tasks whose digests are remembered
-_LARGEST = 4 * 2**30  # bytes: to repeat some of a search's simulations is better than a full disk
+_LARGEST = 96_000_000  # bytes: to repeat some of a search's simulations is better than a full disk
 Thing = TypeVar("Thing")
 
 
@@ -29,7 +29,7 @@ class RecordedSimulations:
 
     The key covers the model with its files, the task and the parameters, so interrupted work continues exactly
     where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again.
-    Only positions in the file are held in memory. When the file is large, nothing more is recorded, and
+    Only positions in the file are held in memory. When the file has 96 MB, nothing more is recorded, and
     interrupted work repeats what came later.
 
     Parameters
@@ -54,7 +54,7 @@ class RecordedSimulations:
         check_resumable(file.parent, resume, interrupted=bool(found), complete=complete and not there)
         self._places = {key: place for key, place, _ in found}
         end = found[-1][2] if found else None
-        self._full = end is not None and end >= _LARGEST
+        self._full = False
         self._journal = Journal(file, _MAGIC, end=end)
         self._tasks: _Digests[Task] = _Digests(_of_task, _TASKS)
         self._models: _Digests[Simulator] = _Digests(_of_model, _TASKS)
@@ -91,9 +91,12 @@ class RecordedSimulations:
         if isinstance(outcome, Exception) or self._full:
             return
         prediction = np.ascontiguousarray(outcome, dtype=np.float64)
+        if self._journal.size + prediction.nbytes > _LARGEST:
+            self._full = True
+            return
         key = self._key(job)
         place = self._journal.append((key, prediction.shape, prediction.tobytes()))
-        self._places[key], self._full = place, place + prediction.nbytes >= _LARGEST
+        self._places[key] = place
 
     def _recalled(self, job: Job) -> FloatArray | None:
         place = self._places.get(self._key(job)) if self._places else None
