@@ -73,7 +73,7 @@ def start_of(scope: ModelScope, aliases: Aliases, symbol: SX) -> Start:
 def eliminate(scope: ModelScope, equations: list[Equation]) -> Aliases:
     """Find and remove the equations ``a = b`` and ``a = -b`` between continuous variables and inputs.
 
-    Variables that equal the same derivative (speeds of rigidly coupled parts) are aliases too.
+    Variables that equal the same derivative (speeds of rigidly coupled parts) are also aliases.
     """
     candidates = {
         key(d.symbol): d

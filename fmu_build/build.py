@@ -35,7 +35,7 @@ def build(
     """Build the FMU of a Modelica class.
 
     An existing FMU is kept if nothing it depends on has changed: the Modelica files that were read and the names
-    of those beside them, this package, the version of CasADi, and the options.
+    of those next to them, this package, the version of CasADi, and the options.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
 
 
 def _deciding(scope: ModelScope, constants: set[str], value: SX) -> set[str]:
-    """Return the parameters, other than `constants`, that determine a value; none if others determine it too."""
+    """Return the parameters, other than `constants`, that determine a value; none if others also determine it."""
     found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(value)]
     parameters = [d.variable.name for d in found if d is not None and d.kind == "parameter"]
     return set(parameters) - constants if len(parameters) == len(found) else set()

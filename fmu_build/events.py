@@ -28,7 +28,7 @@ class Discrete:
 
 @dataclass(frozen=True)
 class Events:
-    """What happens at an event.
+    """Actions at an event.
 
     Attributes
     ----------

@@ -155,7 +155,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Location:
-    """Where a variable's value lives: sign * vector[index]; for "constant" the variable's ``start`` is its value.
+    """Location of a variable's value: sign * vector[index]; for "constant" the variable's ``start`` is its value.
 
     ``sign`` is -1 for a variable that is the negative of what is stored (setting it stores the negative). A
     Boolean alias has sign +1 only.
@@ -182,7 +182,7 @@ class Variable:
         have a say (then it may depend on any).
     dependency_kinds
         How it depends on each of those names: linear with a number as factor (constant), with one that parameters
-        decide (fixed), or otherwise (dependent); None: nothing is said.
+        decide (fixed), or otherwise (dependent); None: nothing is stated.
     enumeration
         Names of the literals if the type is an enumeration (``type`` is then "Integer"), else empty.
     """

@@ -5,7 +5,7 @@ potential: a flow can be added to its balance. A *branch* is a component between
 from one and given to the other, or a difference added to the potential at its first connector. A *joint* is a
 rigid connection between stores: it may be separated. A *signal* is a causal connection inside the model.
 
-What a model states as equations has such places, too: a balance is a node, or a *loop* if it is one of voltages,
+Models written as equations have such places as well: a balance is a node, or a *loop* if it is one of voltages,
 and a difference between two balances a branch.
 """
 
@@ -243,7 +243,7 @@ class _Finder:
     def _join_equals(self) -> list[str]:
         """Merge variables that are equal into one class; return those that equal a constant.
 
-        Positions that differ by a length or an angle that is given are equal, too: those of the ends of a rod.
+        Positions that differ by a given length or angle are also equal: those of the ends of a rod.
         """
         fixed: list[str] = []
         positions = {potential for domain, potential, _ in self.physical.values() if domain in MECHANICAL}

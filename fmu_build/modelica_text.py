@@ -93,7 +93,7 @@ def _name(name: str) -> str:
 
 
 def _function_name(name: str) -> str:
-    """Return the name of a function, which lies beside the variables now: its path becomes part of the name."""
+    """Return the name of a function, which is now next to the variables: its path becomes part of the name."""
     return re.sub(r"\W", "_", name)
 
 

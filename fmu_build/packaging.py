@@ -180,7 +180,7 @@ def configuration(model: CompiledModel, guid: str) -> str:
         vector, settable = f"VECTOR_{v.location.vector.upper()}", _settable(v, of_states)
         kind = f"TYPE_{v.type.upper()}"
         entries.append(f"{{{vector}, {index}, {v.location.sign}, {kind}, {settable}, {_text(v.name)}}}")
-    # FMI 3.0 reads event indicators as variables too: they follow the model's own.
+    # FMI 3.0 also reads event indicators as variables: they follow the model's own.
     for i in range(model.n_m):
         entries.append(f'{{VECTOR_G, {i}, 1, TYPE_REAL, SETTABLE_NO, "event indicator {i + 1}"}}')
 

@@ -232,7 +232,7 @@ def _linear(a: list[list[SX]], b: list[SX], *, refined: bool = False) -> tuple[S
     Parameters
     ----------
     refined
-        Solve once more for the remaining error of the right-hand side: in some modes coefficients differ by ten
+        Solve again for the remaining error of the right-hand side: in some modes coefficients differ by ten
         orders of magnitude (ideal diodes), and no scaling suits all modes.
     """
     n = len(b)

@@ -75,9 +75,9 @@ def initial_conditions(system: System, equations: list[Equation], start_symbols:
             continue
         (value,) = evaluate([residual], at_start)
         if not free and not abs(value) <= _CONSISTENT * 10:
-            raise flat.error("initial conditions contradict each other (a fixed start value is one too)", span)
+            raise flat.error("initial conditions contradict each other (a fixed start value is also one)", span)
         if free and not abs(value) <= 1e-6:
-            raise flat.error("more initial conditions than states (a fixed start value is one too)", span)
+            raise flat.error("more initial conditions than states (a fixed start value is also one)", span)
     written = _Written(system, starts, at_start)
     needed = [conditions[row] for row in sorted(used)]
     conditions, free, used = written.chosen(needed, columns, free)

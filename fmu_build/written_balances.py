@@ -31,7 +31,7 @@ _SAME_VALUE = {"noEvent", "smooth"}  # of their last argument
 
 @dataclass(frozen=True)
 class Share:
-    """What a flow adds to an equation.
+    """Contribution of a flow to an equation.
 
     Attributes
     ----------
@@ -250,7 +250,7 @@ class WrittenBalances:
                 yield i, e
 
     def _definitions(self) -> dict[str, Expression]:
-        """Return what a variable is explicitly equal to, by class."""
+        """Return the explicit equals of a variable, by class."""
         found: dict[str, Expression] = {}
         for _, e in self._own():
             for one, other in ((e.left, e.right), (e.right, e.left)):

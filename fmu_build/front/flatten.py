@@ -135,7 +135,7 @@ class _Flattener:
         connections.run(self.connects)
         self.order.clear()
         self.tree.clear()
-        self._visit(root)  # once more, because buses have grown
+        self._visit(root)  # again, because buses have grown
         self._drop_unused(connections.touched)
         for instance in self.tree:
             for base in instance.all_bases():

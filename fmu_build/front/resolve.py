@@ -1152,7 +1152,7 @@ class _Path:
         self._env = env
 
     def walk(self, item: Item, position: int, element: bool = False) -> Any:
-        """Return what the reference denotes, starting from the item that its part at a position names.
+        """Return the object of the reference, starting from the item that its part at a position names.
 
         Parameters
         ----------

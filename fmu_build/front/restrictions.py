@@ -1,4 +1,4 @@
-"""What the specification forbids in classes (sections 4.5 to 4.8 and 7.1.3)."""
+"""Restrictions of the specification on classes (sections 4.5 to 4.8 and 7.1.3)."""
 
 from __future__ import annotations
 

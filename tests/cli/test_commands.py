@@ -271,7 +271,7 @@ def test_every_command_has_help_out_json_and_quiet(name: str, fmuid: Command) ->
         (["report", "nowhere", "--format", "gif"], "--format: no format 'gif'; known: png, svg, pdf"),
         (["build", "nowhere.mo", "A.B"], "nowhere.mo: no such Modelica file; check the path, or choose an included package: Drives, Pendulum"),
         (["compare", "a.csv", "b.csv"], "a.csv: no such file; check the path"),
-        (["compare", "a.csv", "b.csv", "--funnel-time", "1"], "--funnel-time without --funnel; give the funnel's half-width too: --funnel 0.01"),
+        (["compare", "a.csv", "b.csv", "--funnel-time", "1"], "--funnel-time without --funnel; also give the funnel's half-width: --funnel 0.01"),
         (["simulate", "no.fmu"], "no.fmu: cannot be read (No such file or directory); check the path"),
         (["simulate", "no.fmu", "--set", "d_S"], "--set: 'd_S' is not NAME=VALUE; write it as in --set d_S=2.66"),
         (["simulate", "no.fmu", "--set", "d_S=big"], "--set: 'big' of 'd_S' is not a number; write a number"),

@@ -126,7 +126,7 @@ def test_the_page_opens_with_start_and_end_of_the_worst_run(written):
     errors = np.abs(data[:, 2:] - data[:, [1]]).mean(axis=0)
     assert errors[1] < 0.02 < errors[0]
     text = Page(written.read_text()).text
-    assert "predicted to within" in " ".join(text.split())
+    assert "errors up to" in " ".join(text.split())
     assert text.index("Worst run") < text.index("Parameters") < text.index("NRMSE of every run")
 
 
@@ -170,7 +170,7 @@ def test_page_says_how_it_went_and_what_it_rests_on(written):
     text = " ".join(page.text.split())
     for words in (
         "converged",
-        "Farthest from the truth",
+        "Largest deviation from the truth",
         "A lag <on> the bench",
         "measurements (SHA-256)",
         "version of nlopt",

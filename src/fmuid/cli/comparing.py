@@ -68,7 +68,7 @@ def compare(
     from fmuid.core.files import write_atomically
 
     if funnel_time and funnel is None:
-        raise FmuidError("--funnel-time without --funnel", fix="give the funnel's half-width too: --funnel 0.01")
+        raise FmuidError("--funnel-time without --funnel", fix="also give the funnel's half-width: --funnel 0.01")
     printer = Printer(quiet, json)
     with printer.working(f"comparing {result}"), supervised(workers, time_limit, memory_limit) as runner:
         drifts = drift_of(

@@ -423,7 +423,7 @@ class Campaign:
     robot
         The robot description that receives the identified values.
     published
-        Free-form figures to put beside the estimates.
+        Free-form figures to compare with the estimates.
     filters
         Cut-off frequency (Hz) by signal, of a zero-phase low-pass that is applied to the measured and the
         simulated output before they are compared.

@@ -35,7 +35,7 @@ class Linear(NamedTuple):
         return Linear(other.factor * self.factor, other.factor * self.offset + other.offset)
 
     def __call__(self, value: float) -> float:
-        """Return what a value becomes."""
+        """Return the converted value."""
         return self.factor * value + self.offset
 
 
@@ -67,7 +67,7 @@ class Port:
 
 @dataclass(frozen=True, slots=True)
 class Master:
-    """How coupled FMUs are stepped together.
+    """Options for stepping coupled FMUs together.
 
     Parameters
     ----------

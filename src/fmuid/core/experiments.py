@@ -152,7 +152,7 @@ class Outliers:
     times: tuple[float, ...]
 
     def __str__(self) -> str:
-        """Return what they are, and when."""
+        """Return a description of the samples and their times."""
         shown = ", ".join(f"{t:.6g}" for t in self.times[:4]) + (", ..." if len(self.times) > 4 else "")
         samples = "sample" if len(self.times) == 1 else "samples"
         kind = "spiked" if self.kind == "spike" else "held"

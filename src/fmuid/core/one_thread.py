@@ -19,7 +19,7 @@ def in_one_thread(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        import scipy.linalg  # noqa: F401  (slow to import; brings a library of its own, which is limited, too)
+        import scipy.linalg  # noqa: F401  (slow to import; brings another library, which is limited as well)
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1, user_api="blas"):

@@ -1,1 +1,1 @@
-"""A drive and its logs, to see what fmuid does before there is a model and a log of one's own."""
+"""A drive and its logs, for a demonstration without a model and logs of your own."""

@@ -43,7 +43,7 @@ _VARIABLES = (
 
 @dataclass(frozen=True, slots=True)
 class Lacking:
-    """What the rig has and the model has not: drag of the air at the load (N.m.s2/rad2), a late torque (s)."""
+    """Effects of the rig that the model lacks: drag of the air at the load (N.m.s2/rad2), a late torque (s)."""
 
     drag: float = 0.0
     delay: float = 0.0
@@ -57,7 +57,7 @@ class Lacking:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """What the demo starts from: the options that name the model, the logs, and what nobody has told."""
+    """Start of the demo: the options that choose the model, the logs, and the effect that the model lacks."""
 
     model: tuple[str, ...]
     logs: tuple[Path, ...]

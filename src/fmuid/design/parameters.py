@@ -207,7 +207,7 @@ class Information:
         return found
 
     def response(self, values: Mapping[str, float]) -> Response:
-        """Return what the response at these values tells about the parameters, relative to their sizes."""
+        """Return the information of the response at these values about the parameters, relative to their sizes."""
         sizes = _sizes(self.unknowns)
 
         def slopes(samples: FloatArray) -> FloatArray:
@@ -282,7 +282,7 @@ def _unknowns(
 
 
 def _kind(case: Case) -> tuple[object, ...]:
-    """Return what runs must have in common for their noise to be pooled."""
+    """Return a key that is equal for runs whose noise can be pooled."""
     return (
         case.setup,
         tuple(c.signal for c in case.channels),

@@ -1,4 +1,4 @@
-"""Prepare: connect columns and variables, choose parameters and runs, beside the file that this edits."""
+"""Prepare: connect columns and variables, choose parameters and runs, next to the edited file."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class Workspace:
     folder
         The campaign's folder or its `campaign.toml`.
     logs
-        The files that it was made from, if known: their unused columns can then be connected too.
+        The files that it was made from, if known: their unused columns can then also be connected.
     layout
         Layout of these files.
     runner
@@ -332,7 +332,7 @@ class Workspace:
         self.refresh()
 
     def role(self, run: str) -> str:
-        """Return what a run is used for: ``identification``, ``validation`` or ``none``."""
+        """Return the role of a run: ``identification``, ``validation`` or ``none``."""
         roles = self.file.tables.get("roles", {})
         origin = self._origin(run)
         for role in ("validation", "identification"):

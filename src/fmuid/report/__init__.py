@@ -1,4 +1,4 @@
-"""Reports of a run: one HTML page that opens offline, with figures and their data beside it."""
+"""Reports of a run: one HTML page that opens offline, with figures and their data in folders."""
 
 from __future__ import annotations
 

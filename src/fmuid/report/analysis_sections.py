@@ -63,7 +63,7 @@ def profile_items(result: StageResult) -> list[Figure | Table]:
     header = ("parameter", "unit", "profile from", "to", "standard error from", "to ")
     return [
         LineFigure(stem, f"Profiles: {result.name}", panels, caption, min(len(panels), 2)),
-        Table(header, rows, f"{stem}-intervals", "95 % intervals", "A dash: no end was found."),
+        Table(header, rows, f"{stem}-intervals", "95 % intervals", "A dash: the search found no end."),
     ]
 
 

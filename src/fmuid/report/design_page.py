@@ -77,7 +77,7 @@ def write_design_page(
         )
     document = Document(
         f"Designed experiment: {campaign}",
-        "The input is in input.csv, beside this page.",
+        "The input is in input.csv, next to this page.",
         tuple(Fact(*fact) for fact in answer["facts"]),
         (
             Section("The run", tuple(figures), answer["text"]),

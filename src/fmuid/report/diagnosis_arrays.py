@@ -237,7 +237,7 @@ def _ordinates(
     columns: Sequence[int],
     laws: Sequence[Prediction] = (),
 ) -> tuple[FloatArray, FloatArray, list[FloatArray], float] | None:
-    """Fit the (K,) ordinates of functions at a port beside the nominal parameters of a model, linearly.
+    """Fit the (K,) ordinates of functions at a port together with the nominal parameters of a model, linearly.
 
     `prediction` is the model's at its `fit`, whose Jacobian has the nominal parameters in `columns`. Returns the
     ordinates with their standard errors, the ordinates that the models with effects would have, and the explained

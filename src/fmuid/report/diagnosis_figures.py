@@ -139,7 +139,7 @@ def parameters_table(diagnosis: Mapping[str, Any]) -> Table | None:
         old = before.get(name)
         rows.append((name, old, value, None if not old else 100 * (value - old) / abs(old)))
     header = ("parameter", "nominal, refitted", "corrected", "change, %")
-    caption = "The missing effects had biased the nominal parameters. A dash: a parameter of the effect itself."
+    caption = "Missing effects bias the nominal parameters. A dash: a parameter of the effect itself."
     return Table(header, tuple(rows), "corrected-model", "Parameters that changed", caption, (5, 5, 5, 2))
 
 
@@ -156,7 +156,9 @@ def machines_table(diagnosis: Mapping[str, Any]) -> Table | None:
         rows.append((p["name"], *each, p["p_value"], "yes" if p["differs"] else "no", low, high))
     heads = [head for name in machines["names"] for head in (name, f"± {name}")]
     header = ("parameter", *heads, "p", "differs", "next machine, 95 %: from", "to")
-    caption = "Refitted to the runs of each machine alone, with standard errors. No interval: too few machines."
+    caption = (
+        "Refitted to the runs of each machine separately, with standard errors. No interval: too few machines."
+    )
     digits = (4, *(n for _ in machines["names"] for n in (4, 2)), 2, 2, 3, 3)
     return Table(header, tuple(rows), "machines", "Parameters of each machine", caption, digits)
 
@@ -257,7 +259,7 @@ def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
         bars,
         Axis("closure of the gap"),
         ((1.0, "all of the gap"),),
-        "An arbitrary course over time at each port, in every run for itself. Blue: the ports of the verdict.",
+        "An arbitrary course over time at each port, in each run separately. Blue: the ports of the verdict.",
         limits=(min(0.0, max(-1.0, *(b.value for b in bars))), 1.25),
     )
 
@@ -278,7 +280,7 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
         "From the gap to the noise floor",
         tuple(replace(b, value=max(b.value, _NO_GAP), note=f"{b.value:.3g}") for b in bars),
         Axis("gap, in multiples of the noise floor", log=True),
-        caption="Root mean square of the whitened residual beyond noise alone, over the signals'"
+        caption="Root mean square of the whitened residual beyond the noise, over the signals'"
         f" bandwidth. {_floors(diagnosis)}".rstrip(),
         limits=(_NO_GAP, 2.0 * max(b.value for b in bars)),
     )

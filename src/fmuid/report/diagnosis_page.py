@@ -72,8 +72,8 @@ def write_diagnosis_report(
             ),
             " ".join(f"{line}." for line in indistinct(diagnosis)),
             _present(pictures_of.effects_table(diagnosis, refitted=False), pictures_of.seen_table(diagnosis)),
-            "Effects that promised too little to be refitted"
-            + ("" if diagnosis["gap"]["present"] else ", and what would have been seen"),
+            "Effects with scores too low for a refit"
+            + ("" if diagnosis["gap"]["present"] else ", and sizes that would have been seen"),
         ),
         Section(
             "A law found",

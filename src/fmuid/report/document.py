@@ -1,4 +1,4 @@
-"""A report as a value, and its writing: one HTML page that opens offline, figures and data beside it."""
+"""A report as a value, and its writer: one HTML page that opens offline, with folders of figures and data."""
 
 from __future__ import annotations
 

@@ -234,7 +234,7 @@ def correlation_figure(stage: str, names: Sequence[str], correlation: FloatArray
         correlation,
         Axis("correlation"),
         (-1.0, 1.0),
-        caption="Near ±1 the experiments determine a combination of the two, not each.",
+        caption="Near ±1, the experiments determine only a combination of the two.",
     )
 
 
@@ -272,7 +272,7 @@ def deviation_figure(estimates: Sequence[Estimate], kind: str) -> BarFigure | No
         tuple(bars),
         Axis(f"deviation from the {kind}", "%"),
         ((0.0, kind),),
-        "Lines: 95 % interval from the standard error, for noise alone.",
+        "Lines: 95 % intervals.",
     )
 
 

@@ -106,7 +106,7 @@ def write_report(
 
 
 def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
-    """Return what a reader wants first: success, accuracy, and the errors on runs that were not used."""
+    """Return the facts at the top: success, accuracy, and errors on held-out runs."""
     evaluations = sum(s.evaluations for s in result.stages)
     good = result.status is Status.CONVERGED
     found = []
@@ -114,9 +114,9 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     if judged:
         ratio, worst_run = max(judged, key=lambda pair: pair[0])
         close = ratio <= _CLOSE
-        missed = f"missed by up to {ratio:.3g} times the noise ({worst_run.experiment}, {worst_run.signal})"
-        text = f"predicted to within {ratio:.2g} times the noise" if close else f"{missed}: run fmuid diagnose"
-        found.append(Fact("Runs that were not used", text, "good" if close else "warn"))
+        missed = f"errors up to {ratio:.3g} times the noise ({worst_run.experiment}, {worst_run.signal})"
+        text = f"errors up to {ratio:.2g} times the noise" if close else f"{missed}: run fmuid diagnose"
+        found.append(Fact("Held-out runs", text, "good" if close else "warn"))
     found.append(
         Fact(
             "Search",
@@ -128,7 +128,7 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     if known:
         worst = max(known, key=lambda e: abs(e.relative_error or 0.0))
         found.append(
-            Fact("Farthest from the truth", f"{worst.name}, {100 * (worst.relative_error or 0.0):+.2f} %")
+            Fact("Largest deviation from the truth", f"{worst.name}, {100 * (worst.relative_error or 0.0):+.2f} %")
         )
     usable = [f for f in validation if np.isfinite(f.nrmse)]
     if usable:
@@ -231,7 +231,7 @@ def _estimates_table(
     caption = (
         "Standard errors and intervals cover the noise, the colour of the residuals, and the errors of values "
         "that the stage fixed at estimates of earlier stages (inherited: their share of the variance). Values "
-        "that no stage identified count as known. A dash: none can be given; the stage's warnings say why."
+        "that no stage identified are treated as known. A dash: none; the stage's warnings give the reason."
     )
     digits = tuple(
         dict.fromkeys(("moved, %", "standard error", "deviation, %", "inherited, %"), 2).get(name, 5)
@@ -291,8 +291,8 @@ def _fit_sections(
         sections.append(Section("Friction over speed", (friction,)))
     validation: tuple[RunScore, ...] = ()
     for role, title, text in (
-        ("validation", "Validation", "Runs that were not used, simulated at the final values."),
-        ("identification", "Fit", "Runs that were used, simulated at the final values."),
+        ("validation", "Validation", "Held-out runs, simulated with the final values."),
+        ("identification", "Fit", "The runs used for identification, simulated with the final values."),
     ):
         runs = campaign.validation if role == "validation" else sorted(used)
         if not runs:

@@ -1,4 +1,4 @@
-"""Measurements of a case beside predictions of it, and which of its signals a campaign judges."""
+"""Measurements and predictions of a case, and the signals that a campaign judges."""
 
 from __future__ import annotations
 

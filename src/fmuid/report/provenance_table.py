@@ -1,4 +1,4 @@
-"""Everything that a result depends on: versions of the software and hashes of the files."""
+"""Provenance of a result: versions of the software and hashes of the files."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ _MEANINGS = {
     "sobol": "First: the share of the output's variance that the parameter causes alone; total: including its"
     " interactions with other parameters. Lines: 95 % intervals by bootstrap.",
     "morris": "Mean size of the elementary effects (mu*): the change of the scalar per range of the parameter,"
-    " averaged over the other parameters. A spread (sigma) as large as mu* says that the effect depends on the"
+    " averaged over the other parameters. A spread (sigma) as large as mu* means that the effect depends on the"
     " others, or is not linear. Lines: 95 % intervals by bootstrap.",
 }
 
@@ -69,7 +69,7 @@ def write_sensitivity_page(
     ]
     document = Document(
         f"Global sensitivity: {campaign}",
-        f"Of the {_SCALARS[found.quantity]} of every output.",
+        f"Scalar of each output: {_SCALARS[found.quantity]}.",
         _facts(found, moving),
         tuple(sections),
     )

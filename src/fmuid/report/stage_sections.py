@@ -119,7 +119,7 @@ def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
         return None
     title = f"Optimisation history over the measurement: {name}"
     caption = (
-        "Measurement, start, some iterates that were the best of their time, and the final one; below, its "
+        "Measurement, start, some of the best iterates, and the final one; below, its "
         "residual: prediction minus measurement."
     )
     return figures.overlay_figure(f"history-{slug(name)}", title, shown, caption)

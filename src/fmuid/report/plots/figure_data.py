@@ -163,7 +163,7 @@ class MapFigure:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """One bar: its length, the interval around it if known, and a note printed beside it."""
+    """One bar: its length, the interval around it if known, and a note printed next to it."""
 
     label: str
     value: float

@@ -27,7 +27,7 @@ DIVERGING = ((0.0, BLUE), (0.5, "#F7F7F7"), (1.0, VERMILLION))
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a role is drawn: colour, line width in points, dashes ("solid", "dash", "dot"), marker, order."""
+    """Style of a role: colour, line width in points, dashes ("solid", "dash", "dot"), marker, order."""
 
     colour: str
     width: float
