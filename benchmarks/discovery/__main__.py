@@ -203,10 +203,11 @@ def page(outcomes: Sequence[Outcome]) -> str:
     have, lack = (sum(o.expressible == kind for o in outcomes) for kind in (True, False))
     of = [sum(c.expressible == kind for c in cases()) for kind in (True, False)]
     quiet = sum(o.rightly_unknown for o in outcomes)
+    expressed = sum(o.right for o in outcomes if o.expressible)
     rows = [
         f"| {o.case} | {o.kind} | {', '.join(o.named)} | {law} | {_cell(o)} |"
         for o in outcomes
-        if not o.rightly_unknown
+        if not (o.rightly_unknown or o.right)
         for law in [f"`{o.formula}` at {o.port}" if o.formula else ""]
     ]
     missing = {c.rig.name for c in cases()} - {o.rig for o in outcomes}
@@ -217,9 +218,10 @@ def page(outcomes: Sequence[Outcome]) -> str:
             table(outcomes),
             "",
             _TERMS,
-            "## Case by case",
+            "## The other cases",
             "",
-            f"Without an equation: *unknown*, without a law, in {quiet} of {lack} cases; the others are listed.",
+            f"Of the right form are {expressed} laws of {have}; rightly *unknown* are {quiet} of {lack} plants.",
+            "The others:",
             "",
             "| case | verdict | effects named | law found | |",
             "|---|---|---|---|---|",
