@@ -60,7 +60,7 @@ def test_init_makes_a_campaign_that_runs(
     assert (code, err) == (0, "")
     assert "step.csv and 2 more: 'U' is input 'u', taken to be in N, as the FMU's" in out
     assert "step.csv and 2 more: 'position_lvdt' is output 'x', in mm" in out
-    assert "step.csv and 2 more: column 'oil' is not used: no input or output of the FMU matches" in out
+    assert "step.csv and 2 more: columns that nothing uses: oil (no input or output of the model matches" in out
     assert sorted(p.name for p in Path("drive").iterdir()) == [
         "campaign.toml",
         "measurements.h5",

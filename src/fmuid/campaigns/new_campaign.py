@@ -16,6 +16,7 @@ from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
 from fmuid.campaigns.known_values import ModelText, guessed_bounds, is_temperature
+from fmuid.campaigns.not_looked_for import NotLookedFor, not_looked_for
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements, Signal
@@ -30,7 +31,7 @@ from fmuid.data.recordings.conversion import Run, experiment_from_table, read_ru
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.data.table_layout import TableLayout
 from fmuid.simulation.coupled.coupled_model import CoupledModel
-from fmuid.simulation.coupled.loading import load_model
+from fmuid.simulation.coupled.loading import load_model, load_simulator
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.segmented import Growth
@@ -46,10 +47,11 @@ _MAX_NAMES = 8  # fixed parameters named in one line
 
 @dataclass(frozen=True, slots=True)
 class NewCampaign:
-    """The new campaign, and one line for each guess."""
+    """The new campaign, one line for each guess, and what a diagnosis of it will not look for."""
 
     folder: Path
     guesses: tuple[str, ...]
+    not_looked_for: tuple[NotLookedFor, ...] = ()
 
 
 def new_campaign(
@@ -149,8 +151,8 @@ def new_campaign(
         target,
         _toml(folder, source or fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away),
     )
-    load_campaign(folder)
-    return NewCampaign(folder, tuple(dict.fromkeys(guesses)))
+    unlooked = not_looked_for(load_campaign(folder), load_simulator)
+    return NewCampaign(folder, tuple(dict.fromkeys(guesses)), unlooked)
 
 
 def match_columns(table: Table, ports: Mapping[str, Variable]) -> dict[str, str]:
@@ -298,13 +300,15 @@ def _lines(table: Table, matched: Mapping[str, str], ports: Mapping[str, Variabl
     lines = []
     for column in table.columns:
         if column not in matched:
-            what = "no input or output of the FMU matches; a diagnosis tries whether a coefficient depends on it"
-            lines.append(f"column '{column}' is not used: {what}")
             continue
         variable = ports[matched[column]]
         unit = table.units.get(column)
         stated = f"in {unit}" if unit else f"taken to be in {variable.unit or '1'}, as the FMU's"
         lines.append(f"'{column}' is {variable.causality} '{variable.name}', {stated}")
+    if unused := [column for column in table.columns if column not in matched]:
+        shown = f"{', '.join(unused[:_MAX_NAMES])}" + (" and others" if len(unused) > _MAX_NAMES else "")
+        what = "no input or output of the model matches; a diagnosis tries whether a coefficient depends on them"
+        lines.append(f"columns that nothing uses: {shown} ({what})")
     return lines
 
 

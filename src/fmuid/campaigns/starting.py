@@ -142,7 +142,7 @@ def start(
             layout=TableLayout(tuple(columns), rate),
             runner=runner,
         )
-    for line in made.guesses:
+    for line in (*made.guesses, *map(str, made.not_looked_for)):
         say(line)
     return load_campaign(folder)
 

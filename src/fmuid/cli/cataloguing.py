@@ -14,6 +14,7 @@ from fmuid.core.errors import CampaignError
 from fmuid.core.files import check_folder
 
 if TYPE_CHECKING:
+    from fmuid.campaigns.not_looked_for import NotLookedFor
     from fmuid.simulation.runners import Runner
 
 
@@ -44,6 +45,8 @@ def effects(
 
     Example: fmuid effects campaigns/drive --out campaigns/drive/effects.toml
     """
+    from dataclasses import asdict
+
     from fmuid.core.campaign import is_modelica
 
     printer = Printer(quiet, json)
@@ -56,45 +59,54 @@ def effects(
                 where="--out",
                 fix="choose a campaign, made with: fmuid init LOG... --model MODEL.mo",
             )
-        found = _of_model(what, class_name, root or [])
+        found, unlooked = _of_model(what, class_name, root or [])
     elif root:
         fix = "write them in campaign.toml, as `roots` of a model"
         raise CampaignError("the libraries of a campaign are in its campaign.toml", where="--root", fix=fix)
     else:
         with printer.working("simulating the runs"), supervised(workers, time_limit, memory_limit) as runner:
-            text, found = _of_campaign(what, runner)
+            text, found, unlooked = _of_campaign(what, runner)
         if out is not None:
             from fmuid.core.files import write_atomically
 
             write_atomically(out, text)
     width = max((len(name) for name in found), default=0)
     for name, laws in found.items():
-        printer.say(f"{name:<{width}}  {', '.join(laws)}")
+        printer.say(f"{name:<{width}}  {', '.join(dict.fromkeys(laws))}")
+    for line in unlooked:
+        printer.say(str(line))
     if out is not None:
         printer.say(f'{out}: to use it, write in campaign.toml: [effects] catalogue = "{out.name}"')
-    printer.write({"ports": {name: list(laws) for name, laws in found.items()}, "out": out})
+    ports = {name: list(dict.fromkeys(laws)) for name, laws in found.items()}
+    printer.write({"ports": ports, "not_looked_for": [asdict(n) for n in unlooked], "out": out})
 
 
-def _of_model(file: Path, class_name: str | None, roots: list[Path]) -> dict[str, list[str]]:
+def _of_model(
+    file: Path, class_name: str | None, roots: list[Path]
+) -> tuple[dict[str, list[str]], tuple[NotLookedFor, ...]]:
     from fmu_build.flat_model import constant
     from fmu_build.model_ports import held_parameters
+    from fmuid.campaigns.not_looked_for import inside
     from fmuid.core.campaign import ModelSource
     from fmuid.diagnosis.made_catalogue import possible_laws
     from fmuid.simulation.model_source import flat_model
 
     flat = flat_model(ModelSource.at(file, class_name, roots=roots))
-    return possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
+    found = possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
+    return found, tuple(inside(flat))
 
 
-def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]]]:
+def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]], tuple[NotLookedFor, ...]]:
     import tomllib
 
     from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.campaigns.not_looked_for import not_looked_for
     from fmuid.diagnosis.made_catalogue import made_catalogue
     from fmuid.simulation.coupled.loading import load_simulator
 
-    text = made_catalogue(load_campaign(folder), load_simulator, runner=runner)
+    campaign = load_campaign(folder)
+    text = made_catalogue(campaign, load_simulator, runner=runner)
     found: dict[str, list[str]] = {}
     for name, effect in tomllib.loads(text)["effects"].items():
         found.setdefault(effect["port"], []).append(name.partition("@")[0])
-    return text, found
+    return text, found, not_looked_for(campaign, load_simulator)

@@ -263,6 +263,8 @@ def init(
 
     Example: fmuid init step.csv prbs.csv --fmu Drive.fmu --out campaigns/drive
     """
+    from dataclasses import asdict
+
     from fmuid.campaigns.new_campaign import new_campaign
     from fmuid.campaigns.starting import by_name
 
@@ -283,14 +285,16 @@ def init(
             progress=progress,
             runner=runner,
         )
-    for line in made.guesses:
+    for line in (*made.guesses, *map(str, made.not_looked_for)):
         printer.say(line)
     printer.say(f"{out / 'campaign.toml'}: please review these guesses")
     command = shlex.join(["fmuid", "identify", str(out)])
     printer.next(
         command, "values and standard errors of the free parameters; fmuid check shows what the runs determine"
     )
-    printer.write({"out": out, "guesses": made.guesses})
+    printer.write(
+        {"out": out, "guesses": made.guesses, "not_looked_for": [asdict(n) for n in made.not_looked_for]}
+    )
 
 
 def layout_of(columns: str | None, rate: float | None) -> TableLayout:
