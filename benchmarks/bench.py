@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 FIGURE = "figures/benchmarks-scaling.png"
 PAGE = """# Benchmarks
 
-How fast fmuid simulates, builds FMUs and identifies, beside hand-written C and other tools on the same machine.
+How fast fmuid simulates, builds FMUs and identifies, compared with hand-written C and other tools on one machine.
 `make bench` measures everything in one go and writes this page.
 Made {date} in {minutes:.0f} minutes{quick}.
 
@@ -74,7 +74,7 @@ Both FMUs are of `fmuid build`, so every tool has its integrator. The stiff actu
 FMU's own steps, which all tools pay for alike: there a least-squares search written by hand can only lose by the
 loop around the steps and by the simulations that exact derivatives save. Each of fmuid's four runs with three
 derivatives takes the time of three to four plain ones. It could not be five times as fast as 13 runs by FMPy even
-if nothing else took time. A simulation of the pendulum costs little beside a loop over its samples in Python.
+if nothing else took time. A simulation of the pendulum costs little compared with a Python loop over its samples.
 
 ## A friction law, as others fit it
 
@@ -129,6 +129,8 @@ Beyond a bare interpreter's start. Aims: 0.3 s and 0.5 s.
 From Modelica to an FMU that was not there, in processor time, C compiler included. Aim: 20 s for the three.
 
 {builds}
+
+Next: [other tools](other-tools.md), or [how good it is](quality.md).
 """
 
 

@@ -1,4 +1,4 @@
-"""What a run found beside what others published: the parameters, and how well both predict the runs kept back.
+"""Identified and published parameters: both sets, and how well they predict the validation runs.
 
 For a campaign with a table `[published.<source>]` of parameters, such as `campaigns/double_pendulum`.
 """
@@ -25,7 +25,7 @@ from fmuid.report.plots import save_figure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beside:
-    """Two sets of parameters, and what they predict of the runs kept back.
+    """Two sets of parameters, and their predictions of the validation runs.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Beside:
         return text_table(rows)
 
     def overlays(self) -> list[Overlay]:
-        """Return measurement and both predictions of every signal of the runs kept back."""
+        """Return measurement and both predictions of every signal of the validation runs."""
         found = []
         for k, case in enumerate(self.ours.cases):
             for row, channel in enumerate(case.channels):
@@ -112,7 +112,7 @@ def _command(arguments: Sequence[str]) -> None:
     result = Result.from_json(run)
     found = beside(result, load_campaign(result.source), source)
     overlays = [o for o in found.overlays() if fnmatchcase(o.experiment, shown)]
-    title = f"Runs kept back: measured, and predicted with the parameters of {source} and with those identified"
+    title = f"Validation runs: measured, and predicted with the parameters of {source} and with those identified"
     print(found.parameters(), found.errors(), sep="\n\n")
     print(*save_figure(overlay_figure(f"beside-{source}", title, overlays), run), sep="\n")
 

@@ -1,10 +1,9 @@
 """Designed runs on the actuator: ``python -m benchmarks.designed_actuator``.
 
-First, the linear parameters with the shaft fixed: each of the paper's inputs beside a run designed within the same
-amplitude and duration, by the sum of squared relative standard errors that one run alone leaves, and beside the
-bound that no input can pass, since the model is linear in it. Second, the
-paper's future work: friction at standstill, from a run that is designed before anything is measured. The virtual
-rig plays it.
+First, the linear parameters with the shaft fixed: each of the paper's inputs is compared with a run designed
+within the same amplitude and duration, by the sum of squared relative standard errors that one run alone
+leaves, and with the bound that no input can pass, since the model is linear in it. Second, the paper's future
+work: friction at standstill, from a run that is designed before anything is measured. The virtual rig plays it.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ def squares(information: FloatArray) -> float:
 
 
 def against_the_paper() -> list[float]:
-    """Print each of the paper's inputs beside a designed run, and return by how much the errors shrink."""
+    """Print each of the paper's inputs with a designed run, and return by how much the errors shrink."""
     plan = {e.id: e for e in load_plan(ROOT / "campaigns/force_feedback").experiments}
     gains, papers = [], dict[str, FloatArray]()
     print("input of the paper         A     s   sum of squares: paper     designed    ratio  at most")

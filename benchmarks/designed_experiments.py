@@ -3,7 +3,7 @@
 Plants of the rigs that rules are found on have an effect that another one resembles, and are driven weakly.
 Where their diagnosis ends with "A or B", `fmuid design` looks for the run that settles it within the rig's
 full range; the case's own plant plays it once, and the campaign with that run is diagnosed again. Where the
-design says that no run settles it, one of the rig's own runs at full size has its try, too. Left out are
+design says that no run settles it, one of the rig's own runs at full size is also tried. Left out are
 cases that a diagnosis settles at once, and those whose answers are the same by physics.
 """
 
@@ -79,7 +79,7 @@ def _sized(rig: Rig, truth: str, seed: int) -> tuple[Rig, dict[str, Floats]]:
 
 
 def case(rig: Rig, truth: str, seed: int, folder: Path) -> dict[str, Any] | None:
-    """Return what came of a case; None if its first diagnosis is not ambiguous."""
+    """Return the outcome of a case; None if its first diagnosis is not ambiguous."""
     place = folder / f"{rig.model}-{truth.replace('@', '-at-')}-{seed}"
     rig, weak = _sized(rig, truth, seed)
     first = place / "outcome.json"
@@ -191,7 +191,7 @@ def _named(answer: Mapping[str, Any]) -> list[list[str]]:
 def _one_left(answer: Mapping[str, Any], before: Sequence[Sequence[str]]) -> bool:
     """Return whether a diagnosis has one answer alone, or one of those `before`, and tells it from the others.
 
-    A run that shows more may raise another question beside the one that it was designed for.
+    A run that shows more may raise another question than the one that it was designed for.
     """
     named = [set(n) for n in _named(answer)]
     kept = named if len(named) == 1 else [set(b) for b in before if any(set(b) <= n for n in named)]
@@ -223,7 +223,7 @@ def line(judged: Mapping[str, Any]) -> str:
 
 
 def summary(found: list[dict[str, Any]]) -> list[str]:
-    """Return what the cases amount to."""
+    """Return a summary of the cases."""
     rows = [f"{len(found)} ambiguous cases, the truth among the answers of {sum(f['holds_truth'] for f in found)}"]
     perhaps = [f for f in found if not f["settles"] and not f["hopeless"] and f["chance"] is not None]
     for words, own in (
@@ -241,7 +241,7 @@ def summary(found: list[dict[str, Any]]) -> list[str]:
         )
     hopeless = [f for f in found if f["hopeless"]]
     right = sum(not f["settled"] and not f["own_run"]["settled"] for f in hopeless)
-    rows.append(f"no run was said to settle {len(hopeless)}: right in {right}")
+    rows.append(f"no run settles {len(hopeless)} by the design: right in {right}")
     return rows
 
 

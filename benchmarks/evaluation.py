@@ -49,7 +49,7 @@ def linear_stage() -> Problem:
 
 @dataclass(frozen=True)
 class Cost:
-    """One thing beside what it is held against, in s."""
+    """Times of a measurement and of its reference, in s."""
 
     what: str
     own: Times
@@ -70,7 +70,7 @@ def prbs_run(folder: Path, repeats: int) -> Cost:
 
 
 def stage_evaluation(repeats: int) -> list[Cost]:
-    """A whole evaluation of the stage, held against the simulations it needs, and against one for every run."""
+    """A whole evaluation of the stage, compared with the simulations it needs, and with one for every run."""
     problem = linear_stage()
     rng = np.random.default_rng(0)
     values = problem.space.to_model(problem.space.start)
@@ -250,7 +250,7 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
 
 
 def _ceiling(repeats: int) -> Parallel:
-    """What this machine gives two processes that share nothing, beside one of them alone."""
+    """Speed of two processes that share nothing on this machine, relative to one of them alone."""
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         times = in_turn(
             {n: lambda n=n: pool.map(_loop, range(n), 1) for n in (1, 2)},  # type: ignore[misc]
@@ -258,7 +258,7 @@ def _ceiling(repeats: int) -> Parallel:
             time.perf_counter,
         )
     gain = 2.0 * times[1].median / times[2].median
-    return Parallel("two bare loops, beside one", times[2], times[1].median, gain)
+    return Parallel("two bare loops, relative to one", times[2], times[1].median, gain)
 
 
 def _loop(_: int) -> int:

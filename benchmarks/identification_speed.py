@@ -73,7 +73,7 @@ def stiff() -> Subject:
 
 
 def light() -> Subject:
-    """Return the pendulum, whose simulation costs little beside a loop over its 2000 samples in Python."""
+    """Return the pendulum, whose simulation costs little compared with a loop over its samples in Python."""
     time = 2e-3 * np.arange(2001)
     torque = np.repeat([0.14, -0.09, 0.16, -0.14, 0.05, -0.15, 0.1, 0.0], 251)[: len(time)]
     parameters = {

@@ -148,7 +148,7 @@ def serve(listener: socket.socket, copy: Path, module: str) -> None:
 
 @contextmanager
 def serving(copy: Path, module: str) -> Iterator[str]:
-    """Serve tests of `module` in a process beside this one; yield the place to ask it at."""
+    """Serve tests of `module` in another process; yield its address."""
     with (
         tempfile.TemporaryDirectory(prefix="mutation", dir="/tmp") as folder,
         socket.socket(socket.AF_UNIX) as listener,
@@ -176,7 +176,7 @@ def _in_a_fork(*arguments: str) -> int:
 
 
 def _passed(tests: Sequence[str]) -> int:
-    """Return the exit code of tests, without a word."""
+    """Return the exit code of tests, silently."""
     import pytest
 
     nowhere = os.open(os.devnull, os.O_RDWR)

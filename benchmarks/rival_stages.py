@@ -1,4 +1,4 @@
-"""Stages as rivals: how well the model that each stage of a run found predicts runs used and runs kept back.
+"""Stages as rivals: how well the model of each stage of a run predicts the runs used and the validation runs.
 
 For a campaign whose stages are different laws of the same thing, such as the friction laws of `campaigns/go1`.
 """
@@ -45,11 +45,11 @@ class Rival:
         Run -> mean absolute error in the unit of the model's variable, of the campaign's identification and
         validation set.
     gain, interval
-        By how much the mean over the runs kept back is below that of the first stage, and the 90 % interval when
+        By how much the mean over the validation runs is below that of the first stage, and the 90 % interval when
         pieces of these runs are drawn anew: how evenly the gain is spread over them. What another recording of the
         same runs would give, only repeats can tell.
     validation
-        The predictions of the runs kept back.
+        The predictions of the validation runs.
     """
 
     stage: str
@@ -68,7 +68,7 @@ class Rival:
 
     @property
     def mean_kept(self) -> float:
-        """Mean over the runs kept back."""
+        """Mean over the validation runs."""
         return float(np.mean([*self.kept.values()]))
 
 
@@ -140,7 +140,7 @@ def _spread(better: Sequence[FloatArray], rng: np.random.Generator) -> tuple[flo
 
 def table_of(rivals: Sequence[Rival]) -> Table:
     """Return the rivals as a table, one row each; errors in thousandths of the unit."""
-    header = ("stage", "parameters", "at a bound", "MAE used", "MAE kept back", "better by", "from", "to")
+    header = ("stage", "parameters", "at a bound", "MAE used", "MAE validation", "better by", "from", "to")
     rows = [
         (
             r.stage,
@@ -156,7 +156,7 @@ def table_of(rivals: Sequence[Rival]) -> Table:
 
 
 def write_rivals(rivals: Sequence[Rival], signal: str, out: Path) -> tuple[Path, ...]:
-    """Write the table as CSV, and overlay and errors of the runs kept back for the first stage and the best."""
+    """Write the table as CSV, and overlay and errors of the validation runs for the first stage and the best."""
     write_atomically(out / "rivals.csv", table_of(rivals).csv())
     best = min(rivals[1:] or rivals, key=lambda r: r.mean_kept)
     overlays = []
@@ -169,7 +169,7 @@ def write_rivals(rivals: Sequence[Rival], signal: str, out: Path) -> tuple[Path,
             lines.append((rival.stage, "start" if role == "start" else "final", prediction[row]))
         channel = case.channels[row]
         overlays.append(Overlay(case.id, signal, channel.unit or "", case.time, channel.mean, tuple(lines)))
-    title = f"{rivals[0].stage} and {best.stage} on the runs kept back"
+    title = f"{rivals[0].stage} and {best.stage} on the validation runs"
     return (out / "rivals.csv", *save_figure(overlay_figure("rivals", title, overlays), out))
 
 
@@ -189,7 +189,7 @@ def _command(arguments: Sequence[str]) -> None:
     for line in lines:
         print("  ".join(str(cell).rjust(w) for cell, w in zip(line, widths, strict=True)))
     print(f"\nmean absolute error (MAE) of {signal}, in thousandths of its unit, mean over the runs; 'better by':")
-    print(f"than {rivals[0].stage} on the runs kept back, with the 90 % interval over pieces of these runs")
+    print(f"than {rivals[0].stage} on the validation runs, with the 90 % interval over pieces of these runs")
     print(*written, sep="\n")
 
 

@@ -1,6 +1,6 @@
 """Diagnoses of a folder of campaigns, one JSON file each, and a page about them.
 
-`make sealed`: case ``NAME`` is the measurement file ``NAME/measurements.h5``; what it is held against is a
+`make sealed`: case ``NAME`` is the measurement file ``NAME/measurements.h5``; the reference is a
 campaign whose own measurements it replaces. `make sealed-abroad`: every case is a campaign of its own, with its
 plain model.
 A case whose JSON exists is not diagnosed again.
@@ -38,7 +38,7 @@ _COLUMNS = (
 def diagnose_case(template: Path | None, measurements: Path, target: Path) -> str:
     """Diagnose one measurement file by the campaign `template`, write `target`, return the verdict in words.
 
-    Without a template, by the campaign beside it.
+    Without a template, by the campaign next to it.
     """
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis_pipeline import answer_of, diagnose
@@ -68,7 +68,7 @@ def diagnose_folder(
     """
     cases = sorted(p.parent for p in folder.glob(f"*/{file}"))
     if not cases:
-        raise FmuidError(f"no */{file}", where=folder, fix="name the folder of the sealed campaigns")
+        raise FmuidError(f"no */{file}", where=folder, fix="give the folder of the sealed campaigns")
     waiting = [c for c in cases if not (out / f"{c.name}.json").is_file()]
     print(f"{len(cases)} cases, {len(cases) - len(waiting)} of them done before", flush=True)
     failures, begun = [], time.monotonic()

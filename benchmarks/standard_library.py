@@ -36,7 +36,7 @@ NOTES = {
     "Modelica.Mechanics.Rotational.Examples.LossyGearDemo2": "gear and bearing are stuck together at the start and"
     " coupled rigidly: how they share the torque has no unique solution",
     "Modelica.Mechanics.Translational.Examples.HeatLosses": "at the impact on the stop the reference keeps the"
-    " relative speed of the damper as a state, so that the mass beside it stops at once; here that mass keeps its"
+    " relative speed of the damper as a state, so that the mass next to it stops at once; here that mass keeps its"
     " speed, which the damper takes up within milliseconds",
     "Modelica.Blocks.Examples.Noise.ImpureGenerator": "its numbers come from a hidden state",
 }

@@ -53,7 +53,7 @@ def in_turn(
 
 
 def machine() -> str:
-    """Return what the times were taken on, in one sentence."""
+    """Return a description of the machine in one sentence."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():

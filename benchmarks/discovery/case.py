@@ -39,7 +39,7 @@ class Case:
         return f"{self.number:02}-{self.rig.model}-{'law' if self.expressible else 'none'}"
 
     def extra(self, experiment: int) -> Extra:
-        """Return what the plant has in a run."""
+        """Return the law of the plant in a run."""
         table, place = self.table, self.table["place"]
         if self.expressible:
             return law(place, table["terms"], table.get("hidden"))

@@ -1,4 +1,4 @@
-"""Whether a law that was found is the plant's: both along the plant's trajectory in a run that was kept back."""
+"""Whether a law found is the plant's: both along the plant's trajectory in a held-out run."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def difference(
 
 
 def _beyond(own: Floats, values: Floats) -> Floats:
-    """Return what is left of values when a combination of columns is taken off."""
+    """Return the values minus their projection on the columns."""
     own = own[:, np.any(own != 0.0, axis=0)]  # a term may be at rest in a run
     scaled = own / np.linalg.norm(own, axis=0)
     return values - scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0]

@@ -70,7 +70,7 @@ def _panel(overlay: Overlay) -> Panel:
 
 
 def _errors(overlay: Overlay) -> Panel:
-    """Return what each prediction of an overlay leaves of the measurement."""
+    """Return an overlay with the residual of each prediction."""
     left = tuple((label, role, y - overlay.measurement) for label, role, y in overlay.predictions)
     series = _panel(replace(overlay, predictions=left)).series[1:]
     axis = Axis(f"{overlay.signal} less measured", overlay.unit)

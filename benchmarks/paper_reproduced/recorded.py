@@ -35,6 +35,6 @@ def plans() -> tuple[Plan, ...]:
 
 
 def measured() -> Measurements:
-    """Return what the plans record."""
+    """Return the recordings of the plans."""
     recorded = {run.id: run for plan in plans() for run in carry_out(plan)}
     return Measurements(recorded, title="The paper's experiments", rig="fmuid virtual rig", source="simulated")

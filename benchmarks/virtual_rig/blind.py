@@ -1,7 +1,7 @@
 """`python -m benchmarks.virtual_rig.blind OUT --labels FOLDER`: sealed campaigns for the blind check.
 
 The labels are found first and go to a folder that the diagnosing process must not be able to read, together with
-held-out runs for the score; only their SHA-256 is published beside the campaigns, before the first one is written.
+held-out runs for the score; only their SHA-256 is published with the campaigns, before the first one is written.
 Every case is a function of seed and index, so an interrupted run goes on where it stopped. The seed would give the
 labels away, so unless one is named it is drawn and kept among the labels.
 """
@@ -61,7 +61,7 @@ def make_blind_campaigns(
     workers
         Threads (the rig computes outside Python's lock).
     say
-        Is told about every finished case.
+        Called with every finished case.
     """
     planned = plan_cases(count, seed)
     chosen = planned if cases is None else tuple(planned[i] for i in cases)
@@ -130,7 +130,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(arguments)
     if given.labels.resolve().is_relative_to(given.out.resolve()):
-        print("error: the labels would lie among the campaigns; name another folder", file=sys.stderr)
+        print("error: the labels would lie among the campaigns; choose another folder", file=sys.stderr)
         return 2
     try:
         digest = make_blind_campaigns(

@@ -63,7 +63,7 @@ class DrawnEffect:
 
 
 def _parameter(name: str, *, signed: bool = False, around: float = 0.0) -> Callable[[Rig, float, Shape], Rig]:
-    """Return what sets one parameter of the rig, and every other value of the shape beside it."""
+    """Return a function that sets one parameter of the rig, together with the other values of its shape."""
 
     def put(rig: Rig, magnitude: float, shape: Shape) -> Rig:
         sign = shape["sign"] if signed else 1.0

@@ -31,7 +31,7 @@ def nominal_of(rig: Rig) -> tuple[float, float, float, float]:
 
 
 class Gap:
-    """The whitened response of one actuator to its nominal parameters, and the gap of any effect beside it.
+    """The whitened response of one actuator to its nominal parameters, and the gap of any effect added to it.
 
     The floor is the sensors' own: white noise and counting within a run, and the offset of the torque sensor
     from run to run for the mean of its signal.

@@ -141,7 +141,7 @@ def run_planned(rig: Rig, planned: PlannedExperiment, *, preceding: bool = False
 
 
 def carry_out(plan: Plan) -> Measurements:
-    """Return what the plan's experiments record; the same plan gives the same numbers.
+    """Return the recordings of the plan's experiments; the same plan gives the same numbers.
 
     Repeats of an experiment share its motion; noise, offset and encoder angle are drawn anew by seed,
     experiment id and repeat, so that adding an experiment leaves the others as they were.

@@ -82,7 +82,7 @@ def read_go1(folder: str | Path | None = None) -> Measurements:
     folder = folder_from_environment() if folder is None else Path(folder)
     files = sorted(folder.glob("*.json"))
     if not files:
-        fix = f"name the folder of the logs in {FOLDER_VARIABLE}"
+        fix = f"give the folder of the logs in {FOLDER_VARIABLE}"
         raise MeasurementsError("no Go1 log (*.json) is there", where=folder, fix=fix)
     experiments: dict[str, Experiment] = {}
     for file in files:

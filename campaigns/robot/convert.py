@@ -51,7 +51,7 @@ def read_robot(folder: str | Path | None = None) -> Measurements:
     folder = folder_from_environment() if folder is None else Path(folder)
     files = sorted(folder.glob("ff_*.mat"))
     if not files:
-        fix = f"name the folder of the logs in {FOLDER_VARIABLE}"
+        fix = f"give the folder of the logs in {FOLDER_VARIABLE}"
         raise MeasurementsError("no log (ff_*.mat) of the robot is there", where=folder, fix=fix)
     runs = [run for file in files for run in _runs(file)]
     return Measurements(
