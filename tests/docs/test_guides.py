@@ -118,6 +118,14 @@ def test_commands_and_links_in_the_text_exist(page: Path) -> None:
         assert set(re.findall(r"(?<!\S)--[a-z-]+", rest)) <= known, f"fmuid {name}{rest}"
     for link in re.findall(r"\]\(([^)#:]+)[)#]", text):
         assert (page.parent / link).exists(), link
+    for link, anchor in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", text):
+        assert anchor in anchors(page.parent / link if link else page), f"{link}#{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as Python-Markdown makes them."""
+    headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
 
 
 def test_every_page_is_in_the_menu_of_the_site() -> None:
