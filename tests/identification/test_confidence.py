@@ -265,7 +265,7 @@ def test_what_has_no_variance_has_inherited_no_share_of_it(found):
 
 def test_a_variance_that_came_out_below_zero_is_none(found, monkeypatch):
     scatter = confidence._Scatter(np.diag([-1e-10, 1e-8]), 5.0, (), 9, 2)
-    monkeypatch.setattr(confidence, "_scatter", lambda *_: scatter)
+    monkeypatch.setattr(confidence, "_scatter", lambda *_, **__: scatter)
     monkeypatch.setattr(confidence, "_widened", lambda problem, evaluate, best, j, covariance: covariance)
     got = found(line, [2.1, 3.8, 6.1], {"a": 2.0, "b": 2.0})
     assert got.standard_errors == (None, pytest.approx(1e-4))

@@ -36,14 +36,14 @@ def test_intervals_around_what_is_not_the_truth_do_not_hold_it(bench):
 
 
 class Biased:
-    """A model that is another one after its first run, in which the measurements are made."""
+    """A model that is another one after its third run: two show that it repeats itself, one makes the measurements."""
 
     def __init__(self, model):
         self.model, self.variables, self.runs = model, model.variables, 0
 
     def simulate(self, task, parameters):
         self.runs += 1
-        return self.model.simulate(task, dict(parameters) | {"a": parameters["a"] + (self.runs > 1)})
+        return self.model.simulate(task, dict(parameters) | {"a": parameters["a"] + (self.runs > 3)})
 
 
 def test_mistakes_are_one_line(bench, capsys):

@@ -20,7 +20,7 @@ from fmuid.core.formatting import shortened
 from fmuid.core.one_thread import in_one_thread
 from fmuid.identification.analyses import Findings, analyse, bounds_reached
 from fmuid.identification.history import History
-from fmuid.identification.misfit import misfit
+from fmuid.identification.misfit import misfit, unexplained
 from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
@@ -50,6 +50,8 @@ class _Run:
     observer: Observer
     seed: int
     specs: Mapping[str, ParameterSpec]
+    identified: set[str] = field(default_factory=set)  # by the stages so far
+    later: Mapping[str, None] = field(default_factory=dict)  # free in a stage of the campaign
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,12 +178,14 @@ def identify(
         nullcontext() if folder is None else claim(folder),
         History(folder, resume=resume, begun=summary.encoded(folder)) as history,
     ):
-        run = _Run(history, observer or Observer(), seed, specs)
+        free = (n for stage in (campaign.stages.values() if campaign else ()) for n in stage.free)
+        run = _Run(history, observer or Observer(), seed, specs, later=dict.fromkeys(free))
         for step in plan:
             asked = posed(step, best, runner)
             asked = replace(asked, problem=sized(asked.problem))
             result = _stage(run, asked, known)
             results.append(result)
+            run.identified.update(map(without_owner, asked.problem.space.names), asked.problem.space.ties)
             best = dict(result.parameters)
             if asked.analyses.uncertainty:
                 known = known.after(asked.problem, result.uncertainty, best)
@@ -343,6 +347,7 @@ def _result(
     best, found = search.best, findings.uncertainty
     values = problem.space.tried(problem.space.start)[0] if best is None else dict(best.parameters)
     values = {name: value for name, value in values.items() if math.isfinite(value)}  # no tie without a value
+    held = _unidentified(run, problem) if found is not None else ()
     bounds = {} if best is None else bounds_reached(problem, best, found)
     estimates = []
     for i, free in enumerate(problem.space.free):
@@ -363,6 +368,7 @@ def _result(
                 None if found is None or found.standard_errors[i] is None else found.inherited_shares[i],
                 free.scale,
                 tuple(n for n in spec.depends_on if n not in values),
+                _note(free.name, found, held),
             )
         )
     for name in problem.space.ties:
@@ -402,6 +408,7 @@ def _result(
             *problem.findings,
             *_misfit(problem, first, best, outcome),
             *_warnings(search, estimates, found),
+            *([f"conditional on values that only later stages identify: {', '.join(held)}"] if held else []),
             *findings.warnings,
         ),
         ties={name: expression.text for name, expression in problem.space.ties.items()},
@@ -411,7 +418,20 @@ def _result(
         front=findings.front,
         posterior=findings.posterior,
         machines=_machines(estimates, problem.space.free),
+        unexplained=() if best is None or found is None else unexplained(problem, best, found.whiteness),
     )
+
+
+def _unidentified(run: _Run, problem: Problem) -> tuple[str, ...]:
+    """Return the parameters that affect the stage, and that only a later stage identifies."""
+    names = {without_owner(n) for n in problem.space.fixed if n not in run.identified and problem.sees(n)}
+    return tuple(n for n in run.later if n in names)
+
+
+def _note(name: str, found: Uncertainty | None, held: Sequence[str]) -> str:
+    if found is None or found.standard_errors[found.names.index(name)] is None:
+        return ""
+    return ", ".join((["robust"] if name in found.robust else []) + (["conditional"] if held else []))
 
 
 def _misfit(

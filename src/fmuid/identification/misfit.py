@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,12 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.units import convertible
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.uncertainty.coloured_residuals import Whiteness
 
 _TIMES_NOISE = 2.0  # at this ratio, three quarters of the residual's energy are not noise
 _UNEXPLAINED = 0.1  # share of the signal's energy in the residual above which sign and unit are doubted
+_PLAINLY, _CORRELATED = 1e-6, 0.2  # p-value and autocorrelation of a residual that is plainly not white
+_SHOWN = 1e-4  # share of a signal's energy that is worth a word
 _ALIKE = 0.8  # correlation: scaled by one number, the prediction then explains two thirds of the signal
 _SCALED = 2.5  # ratio of measurement to prediction that is unlikely to come from a start value alone
 _NEAR = math.log(1.5)  # distance from the factor between two units, since start values are wrong as well
@@ -29,6 +32,43 @@ _FACTORS: Mapping[str, tuple[float, tuple[str, ...]]] = {
     "kgf and N": (9.80665, ("N", "N.m")),
     "km/h and m/s": (3.6, ("m/s",)),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """A signal whose residual is plainly not white, or far above its noise.
+
+    `share` is the residual's share of the signal's energy (mean removed), `lag_one` its autocorrelation from
+    sample to sample, and `times_noise` its root mean square relative to the noise of a sample, if that is known.
+    """
+
+    signal: str
+    share: float
+    lag_one: float
+    times_noise: float | None = None
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        share = f"{100.0 * self.share:.2g} %" if self.share < 1.0 else "all"
+        coloured = abs(self.lag_one) > _CORRELATED
+        return f"{share} of {self.signal} unexplained, " + (
+            "not white" if coloured else f"{self.times_noise or 0.0:.3g} times its noise"
+        )
+
+
+def unexplained(problem: Problem, best: Evaluation, whiteness: Sequence[Whiteness]) -> tuple[Unexplained, ...]:
+    """Return the signals of which a fit leaves more than noise; the test for colour needs no repeats."""
+    best = best if best.predictions else problem.evaluate(best.x)
+    found, times = [], _times_noise(problem, best)
+    for signal in dict.fromkeys(w.signal for w in whiteness):
+        own = [w for w in whiteness if w.signal == signal]
+        seen = _seen(problem, best, signal)
+        lag_one = sum(w.lag_one * w.samples for w in own) / max(sum(w.samples for w in own), 1)
+        coloured = min(w.p_value for w in own) * len(own) < _PLAINLY and abs(lag_one) > _CORRELATED
+        large = times.get(signal, 0.0) > _TIMES_NOISE
+        if (coloured or large) and seen is not None and seen.unexplained > _SHOWN:
+            found.append(Unexplained(signal, seen.unexplained, lag_one if coloured else 0.0, times.get(signal)))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)

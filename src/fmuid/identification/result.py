@@ -22,6 +22,7 @@ from fmuid.core.files import write_atomically
 from fmuid.core.formatting import html_lines, html_table, interval_text, text_table
 from fmuid.identification.history import FILE as HISTORY
 from fmuid.identification.history import JOURNAL, StageHistory, read_run
+from fmuid.identification.misfit import Unexplained
 from fmuid.identification.solvers.pareto import Front
 from fmuid.identification.solvers.search import Start, Status
 from fmuid.identification.uncertainty.between_machines import MachineSpread
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 FILE = "result.json"
 _WITHIN, _NEAR = 0.1, 1e-3  # standard errors, and share of the range, within which an estimate is at its bound
 _TOUCHING, _ROUNDING = 1e-6, 1e-14  # share of the range, without a standard error and at least
+_MISSED = 0.01  # share of a signal's energy that a sound fit may leave in a coloured residual
 LEAST_SHOWN = 0.005  # share of a variance from which on a column is shown
 
 
@@ -50,7 +52,8 @@ class Estimate:
     `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter alone, or
     where it sits at a bound. `inherited` is the share of its variance due to errors of parameters fixed at earlier
     estimates. `truth` is the true value on the rig, if known. `depends_on` names fixed variables on whose values
-    the estimate depends.
+    the estimate depends. `note` marks standard errors that are robust to the model's misfit, and values that are
+    conditional on others that the stage holds.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Estimate:
     inherited: float | None = None
     scale: str = "linear"
     depends_on: tuple[str, ...] = ()
+    note: str = ""
 
     @property
     def relative_error(self) -> float | None:
@@ -114,6 +118,7 @@ class StageResult:
     front: Front | None = None
     posterior: Posterior | None = None
     machines: tuple[MachineSpread, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         return _find(self.estimates, name)
@@ -143,7 +148,13 @@ class StageResult:
             else (f", cost {self.start_cost:.4g} -> {self.cost:.4g}")
         )
         how = f"{self.name}: {self.status.value} ({self.message}) by {self.solver}"
-        return f"{how}, {self.evaluations} evaluations in {self.seconds:.1f} s{cost}"
+        left = "".join(f"; {one}" for one in self.unexplained)
+        return f"{how}, {self.evaluations} evaluations in {self.seconds:.1f} s{cost}{left}"
+
+    @property
+    def sound(self) -> bool:
+        """Whether the search has converged and the residuals show no part of the signals that the model misses."""
+        return self.status is Status.CONVERGED and all(u.share < _MISSED for u in self.unexplained)
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,7 +354,8 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
     with_inherited = any((e.inherited or 0.0) >= LEAST_SHOWN for e in estimates)
     header = ["parameter", "value", "unit", "standard error", "95 % interval"]
     header += ["inherited"] if with_inherited else []
-    with_fixed = any(e.depends_on for e in estimates)
+    with_fixed, noted = any(e.depends_on for e in estimates), any(e.note for e in estimates)
+    header += ["note"] if noted else []
     header += ["start", *(["truth", "deviation"] if with_truth else [])]
     rows = [[*header, *(["given the values of"] if with_fixed else [])]]
     for e in estimates:
@@ -357,6 +369,8 @@ def _cells(estimates: Sequence[Estimate]) -> list[list[str]]:
         ]
         if with_inherited:
             row.append("" if e.inherited is None else f"{100.0 * e.inherited:.0f} %")
+        if noted:
+            row.append(e.note)
         row.append(f"{e.start:.4g}")
         if with_truth:
             deviation = e.relative_error

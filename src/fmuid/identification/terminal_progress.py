@@ -65,7 +65,7 @@ class TerminalProgress(MovingLine, Observer):
         if self._task is not None:
             self._bar.update(self._task, visible=False)
         good = result.status in (Status.CONVERGED, Status.STALLED, Status.BUDGET)
-        style = "green" if result.status is Status.CONVERGED else "yellow" if good else "red"
+        style = "green" if result.sound else "yellow" if good else "red"
         self.console.print(Text(result.summary, style=style), soft_wrap=True)
 
 

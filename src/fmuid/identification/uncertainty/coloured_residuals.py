@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.data.filtering import first_order
+from fmuid.identification.problem.cases import Case
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+
+_SAMPLES = 50  # residuals that show whether their size depends on the signal
+_DOUBTED = 0.01  # significance of that
+_LEAST = 0.05  # of the mean square: the least that a sample's may be
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,30 +58,101 @@ class Record:
         return float(self.there.sum())
 
 
-def score_covariance(
-    problem: Problem, best: Evaluation, j: FloatArray
-) -> tuple[FloatArray, tuple[Whiteness, ...]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """Covariance J' W J (n, n) of the scores of coloured residuals, and what the residuals show.
+
+    `memory` is the longest lag, in samples, at which residuals are correlated; `growth_p` the smallest p-value of
+    residuals whose size does not depend on the signal's.
+    """
+
+    meat: FloatArray
+    whiteness: tuple[Whiteness, ...]
+    memory: int
+    growth_p: float
+
+
+def score_covariance(problem: Problem, best: Evaluation, j: FloatArray) -> Scores:
     """Return J' W J, (n, n), with W the covariance of coloured residuals, and the residuals' statistics.
 
     W holds each case's auto- and cross-covariances, tapered (Bartlett) beyond the lag where they vanish in their
-    own scatter.
+    own scatter. Where residuals grow with the signal, W does.
     """
     n = j.shape[1]
     features = np.zeros((n, n))
     by_case: dict[str, list[Record]] = {}
-    for (case, criterion), rows in zip(problem.criteria, problem.slices, strict=True):
+    levels = _levels(problem, best)
+    for k, ((case, criterion), rows) in enumerate(zip(problem.criteria, problem.slices, strict=True)):
         r, jr = best.residuals[rows], j[rows]
         if criterion.rows is None:
             features += jr.T @ (jr * r[:, None] ** 2)
             continue
         length = len(case.task.time)
         record = Record(criterion.signal, np.zeros(length), np.zeros((length, n)), np.zeros(length))
-        record.residuals[criterion.rows], record.jacobian[criterion.rows] = r, jr
+        level = levels.scale[k]
+        record.residuals[criterion.rows], record.jacobian[criterion.rows] = r / level, jr * level[:, None]
         record.there[criterion.rows] = 1.0
         by_case.setdefault(case.id, []).append(record)
     prior = j[len(j) - len(problem.space.priors) :]  # of unit variance by definition
     meat, whiteness = coloured_covariance(by_case, n)
-    return features + prior.T @ prior + meat, whiteness
+    memory = max((_memory(r.residuals, r.count) for records in by_case.values() for r in records), default=0)
+    return Scores(features + prior.T @ prior + meat, whiteness, memory, levels.p_value)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Levels:
+    """For each criterion, the size of its residuals (m,) relative to their root mean square; 1 if constant."""
+
+    scale: list[FloatArray]
+    p_value: float
+
+
+def _levels(problem: Problem, best: Evaluation) -> _Levels:
+    """Return by how much residuals grow with the signal, one law for every signal.
+
+    Their squares are regressed on those of the prediction (Koenker's version of Breusch and Pagan's test).
+    """
+    from scipy.optimize import nnls
+    from scipy.special import chdtrc
+
+    scale = [np.ones(rows.stop - rows.start) for rows in problem.slices]
+    shown = {
+        case.id: dict(zip((c.signal for c in case.channels), y, strict=True)) for case, y in _seen(problem, best)
+    }
+    by_signal: dict[str, list[int]] = {}
+    for k, (_, criterion) in enumerate(problem.criteria):
+        if criterion.rows is not None and len(scale[k]) == len(criterion.rows):
+            by_signal.setdefault(criterion.label, []).append(k)
+    least = 1.0
+    for members in by_signal.values():
+        square = [best.residuals[problem.slices[k]] ** 2 for k in members]
+        signal = [
+            shown[problem.criteria[k][0].id][problem.criteria[k][1].signal][problem.criteria[k][1].rows]
+            for k in members
+        ]
+        y, q = np.concatenate(square), np.concatenate(signal) ** 2
+        if len(y) < _SAMPLES or not (np.std(y) > 0.0 and np.std(q) > 0.0):
+            continue
+        effective = sum(_independent(best.residuals[problem.slices[k]]) for k in members)
+        p_value = float(chdtrc(1, effective * np.corrcoef(y, q)[0, 1] ** 2))
+        least = min(least, p_value * len(by_signal))
+        if p_value * len(by_signal) < _DOUBTED and np.corrcoef(y, q)[0, 1] > 0.0:
+            (constant, slope), _ = nnls(np.column_stack([np.ones(len(q)), q / np.mean(q)]), y)
+            level = np.maximum(constant + slope * q / np.mean(q), _LEAST * np.mean(y))
+            root = np.sqrt(level / np.mean(level))
+            for k, part in zip(members, np.split(root, np.cumsum([len(s) for s in square])[:-1]), strict=True):
+                scale[k] = part
+    return _Levels(scale, least)
+
+
+def _seen(problem: Problem, best: Evaluation) -> Iterator[tuple[Case, FloatArray]]:
+    return zip(problem.cases, best.predictions, strict=True)
+
+
+def _independent(r: FloatArray) -> float:
+    """Return the number of independent squares among (N,) residuals."""
+    rho = _correlations(r)[1 : 1 + _memory(r, len(r))]
+    return len(r) / (1.0 + 2.0 * float(np.sum(rho**2)))
 
 
 def coloured_covariance(

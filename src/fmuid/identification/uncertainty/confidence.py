@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeVar
@@ -15,6 +15,7 @@ from fmuid.identification.problem.derivatives import Differences, EvaluateMany, 
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.uncertainty.active_constraints import Active, active_constraints, tangent_space
+from fmuid.identification.uncertainty.clusters import PLAIN, Clustered, clustered
 from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score_covariance
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 from fmuid.identification.uncertainty.inherited import Held, effective_degrees
@@ -22,6 +23,9 @@ from fmuid.identification.uncertainty.inherited import Held, effective_degrees
 Matrix = tuple[tuple[float, ...], ...]
 LEVEL = 0.95
 _DOUBTED = 0.01  # significance at which residuals contradict a given sigma
+_MISSED, _LARGE = 1e-6, 4.0  # p-value, and mean square in sigmas, of a run that the model does not follow
+_EXPLODED = 100.0  # growth of sensitivities over a run at which segments help
+_CHAOTIC = 1e-3  # relative scatter of predictions under tiny changes of the parameters
 _COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
 _FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
@@ -36,8 +40,9 @@ class Uncertainty:
     `inherited` part, (n, n), from errors of parameters that earlier stages identified and this stage fixes: `held`
     are their names, `held_slopes` (n, h) the derivatives of the estimate with respect to them in model space.
     `degrees_of_freedom` belong to the stage's own noise, `degrees` (n,) to the standard errors; None means
-    infinite. `notes` state conditions of the standard errors, or why there are none; `constraints` are the active
-    ones.
+    infinite. `robust` are the parameters whose errors come from the scatter between runs (`clusters`), which
+    exceeds that of coloured noise. `notes` state conditions of the standard errors, or why there are none;
+    `constraints` are the active ones.
     """
 
     names: tuple[str, ...]
@@ -56,6 +61,7 @@ class Uncertainty:
     inherited: Matrix = ()
     degrees: tuple[float | None, ...] = ()
     notes: tuple[str, ...] = ()
+    robust: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
 
     @property
@@ -125,7 +131,8 @@ def uncertainty_of(
     along = tangent_space(active.gradients / scale)
     bread = _bread(scaled, scale, along, tolerance) if active.texts else free
     n = len(best.x)
-    scatter = _scatter(problem, here, j, bread, along.shape[1] + problem.nuisances)
+    whole = first.complete and not active.texts and not problem.segments
+    scatter = _scatter(problem, here, j, bread, along.shape[1] + problem.nuisances, whole=whole)
     covariance, whiteness = scatter.covariance, scatter.whiteness
     if n > 1 and first.complete and not active.texts and scatter.degrees > 0.0:
         covariance = _widened(problem, evaluate, here, j, covariance)
@@ -134,7 +141,8 @@ def uncertainty_of(
     found = found if first.complete else first
     own = scatter.degrees
     slope = problem.space.slope(best.x)
-    degrees, inherited, held_slopes = np.full(n, own), np.zeros((n, n)), np.zeros((n, 0))
+    degrees = np.array([scatter.robust[k].degrees[k] if k in scatter.robust else own for k in range(n)])
+    inherited, held_slopes = np.zeros((n, n)), np.zeros((n, 0))
     if held is not None:
         there, evaluate = replace(here, x=held.point(best.x)), evaluate_held or held.problem.evaluate_many
         across = Differences(held.problem, floor, central=False).jacobian(evaluate, there, n)
@@ -143,7 +151,7 @@ def uncertainty_of(
         roots = moves @ held.rows
         inherited = roots @ roots.T
         parts = np.column_stack([np.maximum(np.diag(covariance), 0.0), roots**2])
-        degrees = effective_degrees(parts, np.append(own, held.degrees))
+        degrees = effective_degrees(parts, np.column_stack([degrees, np.tile(held.degrees, (n, 1))]))
         covariance = covariance + inherited
     t = stdtrit(np.maximum(degrees, 1.0), 0.5 + 0.5 * LEVEL)
     variance = np.diag(covariance)
@@ -176,8 +184,12 @@ def uncertainty_of(
         held_slopes=_matrix(held_slopes),
         inherited=() if held is None else _matrix(inherited),
         degrees=tuple(map(_limited, degrees)),
+        robust=tuple(names[k] for k in sorted(scatter.robust)),
         constraints=active.texts,
-        notes=tuple(_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f])),
+        notes=(
+            *_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f], names),
+            *_exploding(problem, scaled, whiteness, floor),
+        ),
     )
 
 
@@ -190,13 +202,19 @@ class _Scatter:
     whiteness: tuple[Whiteness, ...]
     residuals: int
     parameters: int
+    robust: Mapping[int, Clustered] = field(default_factory=dict)
+    plain: frozenset[int] = frozenset()  # those whose scatter between clusters is plainly larger
 
 
-def _scatter(problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArray, parameters: int) -> _Scatter:
+def _scatter(
+    problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArray, parameters: int, *, whole: bool
+) -> _Scatter:
+    """Return the scatter; clusters are looked at if the whole of the parameters is determined."""
     from scipy.special import chdtrc
 
     m = len(here.residuals)
-    meat, whiteness = score_covariance(problem, here, j)
+    scores = score_covariance(problem, here, j)
+    whiteness = scores.whiteness
     known, degrees = _noise(problem)
     of_noise = bread @ (j.T @ (j * known[:, None] ** 2)) @ bread
 
@@ -205,13 +223,17 @@ def _scatter(problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArra
 
     if m <= parameters:
         return by(of_noise if degrees > 0.0 else bread, degrees)
+    coloured = min((w.p_value for w in whiteness), default=1.0) < _DOUBTED
+    memory = scores.memory if coloured else None
+    clusters = clustered(problem, here.residuals, j, known, memory) if whole else []
     if math.isinf(degrees):
         there = known > 0.0
         energy = float(np.sum((here.residuals[there] / known[there]) ** 2))
         doubts = [float(chdtrc(m - parameters, energy)), *(w.p_value for w in whiteness)]
+        doubts += [p for p in (scores.growth_p, *(c.p_value for c in clusters)) if p < 1.0]
         if min(doubts) * len(doubts) >= _DOUBTED:
             return by(of_noise, degrees)
-    covariance = m / (m - parameters) * bread @ meat @ bread
+    covariance = m / (m - parameters) * bread @ scores.meat @ bread
     if math.isinf(degrees):  # the scatter may exceed the given noise, but not fall below it
         covariance = _not_below(covariance, of_noise)
     # Residuals that are not samples (whitened ones, features) count individually.
@@ -220,7 +242,20 @@ def _scatter(problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArra
     )
     effective = sum(w.effective for w in whiteness) + others - parameters
     # Segments restart, so they are as many independent samples (Cameron and Miller 2015: t with clusters - 1).
-    return by(covariance, max(effective, problem.segments - (parameters - problem.nuisances), 1.0))
+    freedom = max(effective, problem.segments - (parameters - problem.nuisances), 1.0)
+    return _by_clusters(by(covariance, freedom), clusters)
+
+
+def _by_clusters(scatter: _Scatter, clusters: Sequence[Clustered]) -> _Scatter:
+    """Return the scatter with the variances between clusters where they are larger."""
+    covariance, robust, plain = scatter.covariance, dict[int, Clustered](), set[int]()
+    for cluster in clusters:
+        before = np.diag(covariance)
+        larger = cluster.exceeding(before)
+        robust |= dict.fromkeys(np.flatnonzero(larger).tolist(), cluster)
+        plain |= set(np.flatnonzero(cluster.exceeding(np.diag(scatter.covariance), PLAIN)).tolist())
+        covariance = _not_below(covariance, np.diag(np.where(larger, cluster.variances, 0.0)))
+    return replace(scatter, covariance=covariance, robust=robust, plain=frozenset(plain & robust.keys()))
 
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
@@ -251,7 +286,7 @@ def _bread(scaled: FloatArray, scale: FloatArray, along: FloatArray, tolerance: 
     return np.asarray(along @ inner @ along.T / np.outer(scale, scale))
 
 
-def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str]) -> list[str]:
+def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Sequence[str]) -> list[str]:
     notes = []
     if scatter.degrees <= 0.0:
         notes.append(
@@ -261,9 +296,42 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str]) -> list[str]
     if active.texts:
         held = ", ".join(f"'{text}'" for text in active.texts)
         notes.append(f"standard errors apply along the active constraint on {held}")
+    for cluster in {id(scatter.robust[k]): scatter.robust[k] for k in sorted(scatter.plain)}.values():
+        found = ", ".join(names[k] for k in sorted(scatter.plain) if scatter.robust[k] is cluster)
+        notes.append(
+            f"{found}: robust standard errors, from the scatter between {cluster.clusters} {cluster.of}, which is "
+            "larger than their residuals explain"
+        )
     if fixed:
         notes.append(f"no standard error, because the active constraints alone determine: {', '.join(fixed)}")
     return notes
+
+
+def _exploding(
+    problem: Problem, scaled: FloatArray, whiteness: Sequence[Whiteness], floor: NoiseFloor
+) -> list[str]:
+    """Advise segments where sensitivities, (m, n), grow without bound over runs that the model does not follow."""
+    missed = {w.case for w in whiteness if w.p_value < _MISSED or w.variance > _LARGE}
+    growth: dict[str, float] = {}
+    for (case, criterion), place in zip(problem.criteria, problem.slices, strict=True):
+        if criterion.rows is None or case.id not in missed or not (early := len(criterion.rows) // 5):
+            continue
+        size = np.linalg.norm(scaled[place], axis=1)
+        early_size = float(np.sqrt(np.mean(size[early : 2 * early] ** 2)))
+        late_size = float(np.sqrt(np.mean(size[-early:] ** 2)))
+        growth[case.id] = max(late_size / max(early_size, np.finfo(float).tiny), growth.get(case.id, 0.0))
+    if growth and floor.relative > _CHAOTIC:
+        return [
+            "predictions scatter under tiny changes of the parameters, as in chaos, and the model does not follow "
+            'the runs: try segments = "auto"'
+        ]
+    if not growth or max(growth.values()) < _EXPLODED:
+        return []
+    worst = max(growth, key=growth.__getitem__)
+    return [
+        f"sensitivities grow by a factor of {growth[worst]:.2g} over '{worst}', which the model does not follow: "
+        'try segments = "auto"'
+    ]
 
 
 def _limited(degrees: float) -> float | None:

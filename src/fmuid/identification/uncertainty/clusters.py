@@ -1,0 +1,118 @@
+"""Standard errors that are robust to what a model misses: the scatter of estimates from run to run.
+
+The residuals of a wrong model depend on what a run does, so autocorrelations within runs do not show by how much
+other runs would move the estimate. The scores of whole experiments do, corrected for the part that each run itself
+has in the estimate (CR2 of Bell and McCaffrey, 2002). A campaign of few runs is cut into blocks of time as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.estimation_problem import Problem
+
+Rows = NDArray[np.intp]
+_FEWEST = 3  # runs that a variance from run to run needs
+_ENOUGH = 8  # clusters; with fewer runs, blocks of time are looked at as well
+_SHORTEST = 30  # samples of a block
+_LEVERAGE = 0.95  # share of the information on a direction that one cluster may hold
+CHANCE, PLAIN = (
+    0.25,
+    0.001,
+)  # probability that clusters of a complete model scatter more: to use that, to report it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clustered:
+    """Variances (n,) of the estimate from the scatter between clusters, and how they are distributed.
+
+    `degrees` (n,) are those of the t-distribution, as many as clusters inform on a parameter (Satterthwaite), less
+    one; `clusters` is their number, `of` what they are in words, `p_value` the
+    probability of a scatter between them as large if the residuals have the given noise (1 if it is unknown).
+    """
+
+    variances: FloatArray
+    degrees: FloatArray
+    clusters: int
+    of: str
+    p_value: float
+
+    def exceeding(self, variances: FloatArray, chance: float = CHANCE) -> NDArray[np.bool_]:
+        """Return (n,) whether the variance is larger than another; complete models reach that by `chance`."""
+        from scipy.special import chdtri
+
+        return np.asarray(self.variances > variances * chdtri(self.degrees, chance) / self.degrees)
+
+
+def clustered(
+    problem: Problem, residuals: FloatArray, j: FloatArray, noise: FloatArray, memory: int | None
+) -> list[Clustered]:
+    """Return the variances between runs, and between blocks of time if there are few runs.
+
+    Parameters
+    ----------
+    residuals, j
+        Residuals (m,) at the estimate and their Jacobian (m, n).
+    noise
+        (m,) standard deviations of the residuals, 0 where they are unknown.
+    memory
+        Samples over which residuals are correlated; None if they are white, so that blocks of time show no more.
+    """
+    runs = _rows(problem, 1)
+    found = [_between(runs, residuals, j, noise, "experiments")] if len(runs) >= _FEWEST else []
+    if len(runs) < _ENOUGH and memory is not None:
+        longest = min(len(case.time) for case in problem.cases)
+        parts = min(-(-_ENOUGH // len(runs)), longest // max(_SHORTEST, 2 * memory))
+        if parts > 1 and len(runs) * parts >= _FEWEST:
+            found.append(_between(_rows(problem, parts), residuals, j, noise, "blocks of time"))
+    return found
+
+
+def _rows(problem: Problem, parts: int) -> list[Rows]:
+    """Return the residuals of every case, in `parts` equal spans of time; features belong to the first."""
+    groups: dict[tuple[str, int], list[Rows]] = {}
+    for (case, criterion), place in zip(problem.criteria, problem.slices, strict=True):
+        numbers = np.arange(place.start, place.stop)
+        at = np.zeros(len(numbers)) if criterion.rows is None else criterion.rows / len(case.time)
+        for part in range(parts):
+            inside = (at * parts).astype(int) == part
+            groups.setdefault((case.id, part), []).append(numbers[inside])
+    whole = [np.concatenate(rows) for rows in groups.values()]
+    return [rows for rows in whole if len(rows)]
+
+
+def _between(
+    groups: Sequence[Rows], residuals: FloatArray, j: FloatArray, noise: FloatArray, of: str
+) -> Clustered:
+    from scipy.special import chdtrc
+
+    count, n = len(groups), j.shape[1]
+    values, vectors = np.linalg.eigh(j.T @ j)
+    root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))  # j @ root has orthonormal columns
+    moves, expected = np.zeros((count, n)), np.zeros((count, n))
+    score, rank = 0.0, 0
+    for k, rows in enumerate(groups):
+        part = j[rows] @ root
+        shares, axes = np.linalg.eigh(part.T @ part)
+        shares = np.clip(shares, 0.0, 1.0)
+        scores, axes = axes.T @ (part.T @ residuals[rows]), root @ axes
+        moves[k] = axes @ (scores / np.sqrt(1.0 - np.minimum(shares, _LEVERAGE)))
+        expected[k] = axes**2 @ shares
+        seen = shares > 1e-9
+        level = np.mean(noise[rows] ** 2)
+        if level > 0.0:
+            score += float(np.sum(scores[seen] ** 2 / shares[seen])) / float(level)
+            rank += int(np.sum(seen))
+    spare = rank - n
+    return Clustered(
+        np.sum(moves**2, axis=0),
+        np.clip(np.sum(expected, axis=0) ** 2 / np.sum(expected**2, axis=0) - 1.0, 1.0, count - 1.0),
+        count,
+        of,
+        float(chdtrc(spare, score)) if spare > 0 else 1.0,
+    )

@@ -1,0 +1,111 @@
+"""Intervals where the model is not complete, and what a stage reports then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from fmuid import ParameterSpec, Problem, Status, Task, identify, measured_case
+from tests.identification.test_held import LEVEL, SLOPE, campaign, line
+
+TIME = np.arange(300) * 0.02
+TRUTH = {"k": 2.0, "T": 0.5, "b": 0.1}
+SIGMA = 0.05
+
+
+def lag(time, inputs, p):
+    decay = np.exp(-0.02 / p["T"])
+    return {"y": p["k"] * lfilter([0.0, 1.0 - decay], [1.0, -decay], inputs["u"]) + p["b"]}
+
+
+def runs(analytic, kind, seed, count=6, scatter=0.03):
+    """Runs of a first-order lag that differ from the model, or whose noise does."""
+    random, fixed, cases = np.random.default_rng(seed), np.random.default_rng(99), []
+    for k in range(count):
+        steps = np.repeat(fixed.uniform(-1.0, 1.0, 16), 20)[:300]
+        u = steps if k % 2 else np.sin(2.0 * np.pi * (0.3 + 0.3 * k) * TIME) * fixed.uniform(0.5, 2.0)
+        gain = 1.0 + scatter * random.standard_normal() * (kind == "gain")
+        y = lag(TIME, {"u": u}, TRUTH | {"k": gain * TRUTH["k"]})["y"]
+        if kind == "friction":
+            y = y - 0.3 * np.tanh(20.0 * np.gradient(y))
+        level = 0.01 + 0.1 * np.abs(y) if kind == "signal" else SIGMA
+        measured = y + level * random.standard_normal(300)
+        recorded = u + 0.1 * random.standard_normal(300) * (kind == "inputs")
+        task = Task(TIME, {"u": recorded}, ("y",), {}, "hold")
+        cases.append(
+            measured_case(f"run{k}", analytic(lag, list(TRUTH)), task, {"y": measured}, sigma={"y": SIGMA})
+        )
+    specs = [
+        ParameterSpec("k", 1.5, 0.1, 10.0),
+        ParameterSpec("T", 0.4, 0.05, 5.0, scale="log"),
+        ParameterSpec("b", 0.05),
+    ]
+    return Problem(cases, specs)
+
+
+@pytest.mark.parametrize("kind", ["white", "gain", "inputs", "signal"])
+def test_intervals_hold_the_truth_in_nineteen_of_twenty_campaigns(analytic, kind):
+    inside = []
+    for seed in range(40):
+        stage = identify(runs(analytic, kind, seed)).stages[0]
+        inside += [stage[n].interval[0] < value < stage[n].interval[1] for n, value in TRUTH.items()]
+    assert 0.9 <= np.mean(inside) <= 0.99
+
+
+def test_robust_errors_are_marked_and_explained(analytic):
+    stage = identify(runs(analytic, "gain", 3, scatter=0.1)).stages[0]
+    assert "k" in stage.uncertainty.robust
+    assert stage["k"].note == "robust"
+    assert "robust" in str(stage).splitlines()[2]
+    assert any("k: robust standard errors, from the scatter between 6 experiments" in w for w in stage.warnings)
+    plain = identify(runs(analytic, "white", 1)).stages[0]
+    assert plain.uncertainty.robust == ()
+    assert "note" not in str(plain).splitlines()[1]
+
+
+def test_a_residual_that_is_not_white_is_in_the_headline(analytic):
+    wrong = identify(runs(analytic, "friction", 1)).stages[0]
+    assert wrong.status is Status.CONVERGED
+    assert not wrong.sound  # so it is not shown in green
+    assert "% of y unexplained, not white" in wrong.summary
+    right = identify(runs(analytic, "white", 1)).stages[0]
+    assert right.sound
+    assert "unexplained" not in right.summary
+
+
+def test_segments_are_advised_where_sensitivities_explode(analytic):
+    """A logistic map in its chaotic regime, started a little aside."""
+
+    def chaos(time, inputs, p):
+        x = [p["x"]]
+        for _ in time[1:]:
+            x.append(p["r"] * x[-1] * (1.0 - x[-1]))
+        return {"y": np.array(x)}
+
+    time = np.arange(60.0)
+    y = chaos(time, {}, {"x": 0.3, "r": 3.9})["y"]
+    case = measured_case("run", analytic(chaos, ["x", "r"]), Task(time, {}, ("y",)), {"y": y}, sigma={"y": 1e-3})
+    problem = Problem([case], [ParameterSpec("x", 0.3, free=False), ParameterSpec("r", 3.97, 3.93, 4.0)])
+    stage = identify(problem).stages[0]
+    assert not stage.sound
+    assert any("as in chaos" in w and 'segments = "auto"' in w for w in stage.warnings)
+
+
+def test_segments_are_advised_where_sensitivities_grow_without_bound(analytic):
+    growing = lambda time, inputs, p: {"y": 1e-3 * np.exp(p["a"] * time)}  # noqa: E731
+    y = 5.0 + np.sin(TIME)
+    case = measured_case("run", analytic(growing, ["a"]), Task(TIME, {}, ("y",)), {"y": y}, sigma={"y": SIGMA})
+    stage = identify(Problem([case], [ParameterSpec("a", 1.0)])).stages[0]
+    assert any("sensitivities grow by a factor of" in w and 'segments = "auto"' in w for w in stage.warnings)
+
+
+def test_estimates_are_conditional_on_what_only_a_later_stage_identifies(analytic):
+    bench = {"bench": analytic(line, ["a", "b", "c", "load"])}
+    held = replace(SLOPE, name="first")  # holds the level at its start
+    result = identify(campaign(held, LEVEL, SLOPE), simulators=bench)
+    first, _, last = result.stages
+    assert first["b"].note.split(", ")[-1] == "conditional"
+    assert "conditional on values that only later stages identify: a" in first.warnings
+    assert last["b"].note == ""
+    assert not any("conditional" in w for w in last.warnings)
