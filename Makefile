@@ -1,13 +1,7 @@
 # Every target works from a fresh clone: it first sets up what it needs.
 PYTHON ?= python3
 VENV ?= .venv
-EMPS ?= ../shared/data/emps
-GO1 ?= ../shared/data/go1
-DOUBLE_PENDULUM ?= ../shared/data/double_pendulum
-ROBOT ?= ../shared/data/robot_identification
-# Clones of DLR's library Credibility and of the Modelica Standard Library.
-CREDIBILITY ?= ../Credibility
-TCLAB ?= ../TCLab
+# A clone of the Modelica Standard Library.
 MSL ?= ../ModelicaStandardLibrary
 SEALED ?= ../shared/data/sealed
 SEALED_ABROAD ?= ../shared/data/sealed_abroad
@@ -64,31 +58,6 @@ build/fmus/SpeedController.fmu: $(MODELICA) $(EXPORT) | $(READY)
 $(FORCE_FEEDBACK)/measurements.h5: $(FORCE_FEEDBACK)/rig.toml $(RIG) | $(READY)
 	$(BIN)/python -m benchmarks.virtual_rig $(FORCE_FEEDBACK)
 
-campaigns/emps/measurements.h5: | $(READY)
-	FMUID_EMPS=$(EMPS) $(BIN)/python -m campaigns.emps.convert campaigns/emps
-
-campaigns/go1/measurements.h5: | $(READY)
-	FMUID_GO1=$(GO1) $(BIN)/python -m campaigns.go1.convert campaigns/go1
-
-# Averaged to 100 Hz; the noise of an angle is one count of its encoder, uniformly distributed.
-campaigns/double_pendulum/measurements.h5: | $(READY)
-	$(BIN)/fmuid import $(DOUBLE_PENDULUM)/sys_id_*.csv --setup double_pendulum --out $@ --resample 100 --method mean \
-	  -i tau_meas1 -i tau_meas2 --unit tau_meas1=N.m --unit tau_meas2=N.m --signal tau_meas1 --signal tau_meas2 \
-	  --signal pos_meas1 --signal pos_meas2 --unit pos_meas1=rad --unit pos_meas2=rad \
-	  --sigma pos_meas1=1.1e-4 --sigma pos_meas2=1.1e-4 --title "Double pendulum, design C.1"
-
-campaigns/robot/measurements.h5: | $(READY)
-	FMUID_ROBOT=$(ROBOT) $(BIN)/python -m campaigns.robot.convert campaigns/robot
-
-campaigns/credibility/measurements.h5: | $(READY)
-	FMUID_CREDIBILITY=$(CREDIBILITY) $(BIN)/python -m campaigns.credibility.convert campaigns/credibility
-
-DRIVE := SimpleControlledDrive_virtualMeasurement
-DRIVES := Credibility/Examples/SimpleControlledDriveNonlinear
-build/fmus/$(DRIVE).fmu: | $(READY)
-	$(BIN)/fmuid build $(CREDIBILITY)/$(DRIVES)/$(DRIVE).mo $(subst /,.,$(DRIVES)).$(DRIVE) \
-	  --root $(CREDIBILITY) --root $(MSL) --out $(@D)
-
 identify: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid identify $(FORCE_FEEDBACK) --out runs/force_feedback
 
@@ -98,68 +67,11 @@ identify-linear: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 identify-friction: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid identify $(FORCE_FEEDBACK) $(FRICTION) --out runs/friction
 
-identify-emps: campaigns/emps/measurements.h5
-	$(BIN)/fmuid identify campaigns/emps --out runs/emps
-
-# Then compare the friction laws on the runs used and on those reserved for validation.
-identify-go1: $(PENDULUM) campaigns/go1/measurements.h5
-	$(BIN)/fmuid identify campaigns/go1 --out runs/go1
-	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?"
-	$(BIN)/python -m benchmarks.rival_stages runs/go1 q "M?_absolute"
-
-# Then compare the published parameters with those found, and the predictions of both for the validation runs.
-identify-double-pendulum: campaigns/double_pendulum/measurements.h5
-	$(BIN)/fmuid identify campaigns/double_pendulum --out runs/double_pendulum
-	$(BIN)/python -m benchmarks.beside_published runs/double_pendulum authors
-
-identify-robot: campaigns/robot/measurements.h5
-	$(BIN)/fmuid identify campaigns/robot --out runs/robot
-	$(BIN)/python -m benchmarks.beside_published runs/robot authors
-	FMUID_ROBOT=$(ROBOT) $(BIN)/python -m campaigns.robot.encoders runs/robot
-
-# DLR's calibration example: the library's own model and table.
-identify-credibility: build/fmus/$(DRIVE).fmu campaigns/credibility/measurements.h5
-	$(BIN)/fmuid identify campaigns/credibility --out runs/credibility
-
-# Three versions of one file, each the log of another test; the first samples determine where a run begins, in K.
-campaigns/temperature_lab/measurements.h5: | $(READY)
-	@mkdir -p build/temperature_lab
-	for run in half:196c74e full:f3d31ff later:f9a9d4b; do \
-	  git -C $(TCLAB) show $${run#*:}:notebooks/step_test_data.csv > build/temperature_lab/$${run%:*}.csv || exit 1; done
-	$(BIN)/fmuid import build/temperature_lab/*.csv --setup board --out $@ --quiet \
-	  -i Q1 --unit Q1=% --unit T1=degC --unit T2=degC --sigma T1=0.15 --sigma T2=0.15 \
-	  --machine half:first --machine full:second --machine later:second --setting half:heater.P_max=4.2 \
-	  --setting half:T1_start=295.66 --setting half:T2_start=294.37 --setting half:T_room=294.37 \
-	  --setting full:T1_start=294.69 --setting full:T2_start=295.66 --setting full:T_room=294.69 \
-	  --setting later:T1_start=296.63 --setting later:T2_start=297.92 --setting later:T_room=296.63
-
-identify-temperature-lab: campaigns/temperature_lab/measurements.h5
-	$(BIN)/fmuid identify campaigns/temperature_lab --out runs/temperature_lab
-
-# The paper's experiments and searches without derivatives, then least squares; writes docs/tutorials/paper.md.
-campaigns/paper/measurements.h5: $(FORCE_FEEDBACK)/rig.toml benchmarks/paper_reproduced/recorded.py $(RIG) | $(READY)
-	$(BIN)/python -m benchmarks.paper_reproduced measurements
-
-paper: build/fmus/FreeShaft.fmu build/fmus/EccentricLoad.fmu campaigns/paper/measurements.h5
-	$(BIN)/fmuid identify campaigns/paper --out runs/paper/direct
-	$(BIN)/fmuid identify campaigns/paper --solver auto --out runs/paper/least_squares --no-report
-	$(BIN)/python -m benchmarks.paper_reproduced page runs/paper/direct runs/paper/least_squares
-
 diagnose: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/fmuid diagnose $(FORCE_FEEDBACK) --out runs/diagnosis
 
-diagnose-emps: campaigns/emps/measurements.h5
-	$(BIN)/fmuid diagnose campaigns/emps --out runs/emps-diagnosis
-
-diagnose-go1: $(PENDULUM) campaigns/go1/measurements.h5
-	$(BIN)/fmuid diagnose campaigns/go1 --out runs/go1-diagnosis
-
-diagnose-double-pendulum: identify-double-pendulum
-	$(BIN)/fmuid diagnose runs/double_pendulum --out runs/double_pendulum-diagnosis
-
-# From the start values, because the delay that the last stage finds is not in the model yet.
-diagnose-robot: campaigns/robot/measurements.h5
-	$(BIN)/fmuid diagnose campaigns/robot --out runs/robot-diagnosis
+# Recipes of single campaigns: measurements, identify-NAME and diagnose-NAME.
+include $(sort $(wildcard campaigns/*/targets.mk))
 
 sealed: | $(READY)
 	$(BIN)/python -m benchmarks.sealed $(SEALED) --out sealed --page docs/sealed.md
