@@ -127,7 +127,8 @@ def test_init_frees_what_an_engineer_would(
     np.savetxt("run.csv", rows, delimiter=",", header="time,u [V],v [km/h],T [degC]", comments="")
     assert run(["init", "run.csv", "--model", "Cart.mo", "--workers", "0"]) == 0
     campaign = load_campaign("campaign")
-    assert set(campaign.parameters) == {"c_w", "c_r", "m", "T_air"}
+    assert {n for n, p in campaign.parameters.items() if p.free} == {"c_w", "c_r", "m", "T_air"}
+    assert {n for n, p in campaign.parameters.items() if p.known} == {"g", "v_r"}
     assert campaign.parameters["T_air"].lower == pytest.approx(263.15)
     assert campaign.parameters["T_air"].scale == "linear"
     assert campaign.parameters["c_w"].depends_on == ("A",)

@@ -893,9 +893,9 @@ def test_setups_may_have_models_with_other_places(tmp_path, monkeypatch):
     ports = load_catalogue(campaign.effects.file).ports
     assert ports["body"].magnitude == pytest.approx(1.5, rel=0.2)  # a hundredth of the largest flow in any setup
     both = subject_of(campaign, load_simulator)
-    assert "body potential" in both.catalogue.regimes
-    assert "sink potential" not in both.catalogue.regimes  # half of the runs have no such place
-    assert "sink potential" in subject_of(campaign, load_simulator, experiments=["two*"]).catalogue.regimes
+    assert "body temperature" in both.catalogue.regimes
+    assert "sink temperature" not in both.catalogue.regimes  # half of the runs have no such place
+    assert "sink temperature" in subject_of(campaign, load_simulator, experiments=["two*"]).catalogue.regimes
 
     assert run(["diagnose", str(tmp_path), "--out", str(tmp_path / "run"), "--no-law", "--workers", "0"]) == 0
     answer = json.loads((tmp_path / "run" / "diagnosis.json").read_text())

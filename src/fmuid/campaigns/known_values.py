@@ -17,6 +17,9 @@ REGULARISATION = "regularises the model"
 TABLE = "an entry of a table, or one of many numbered values"
 DEFAULT = "a default of the library, which the model does not set"
 
+CERTAIN = (CONSTANT, REGULARISATION, DEFAULT)
+"""Reasons for which a diagnosis need not doubt a value either."""
+
 _WITHIN = 10.0  # factor by which parameters may differ from their start values
 _KELVINS = 30.0  # by which absolute temperatures may differ from theirs
 _COLD = 150.0  # K: smaller values are differences of temperature

@@ -15,7 +15,7 @@ import numpy as np
 from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
-from fmuid.campaigns.known_values import ModelText, guessed_bounds, is_temperature
+from fmuid.campaigns.known_values import CERTAIN, ModelText, guessed_bounds, is_temperature
 from fmuid.campaigns.not_looked_for import NotLookedFor, not_looked_for
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
@@ -360,9 +360,13 @@ def _toml(
     ]
     for variable in choice.free:
         lines += _parameter_lines(variable, choice.depends.get(variable.name, ()))
-    if choice.held:
+    for reason in CERTAIN:
+        for variable in choice.held.get(reason, ()):
+            lines += [*_parameter_lines(variable)[:-1], f"free = false # {reason}", "known = true", ""]
+    doubtful = {reason: variables for reason, variables in choice.held.items() if reason not in CERTAIN}
+    if doubtful:
         lines += ["# Fixed at the FMU's start value; uncomment to identify it too.", ""]
-    for reason, variables in choice.held.items():
+    for reason, variables in doubtful.items():
         lines += [f"# Fixed: {reason}.", ""]
         for variable in variables:
             lines += [f"# {line}" if line else "" for line in _parameter_lines(variable)]

@@ -27,6 +27,7 @@ from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import carrier
 from fmuid.diagnosis.varying import varying_lines
 from fmuid.effects.effects_file import load_catalogue
+from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.model_source import built_model, flat_model
@@ -81,14 +82,14 @@ def _port_lines(place: Place) -> list[str]:
         lines += [f"input = {toml_text(added)}", "added = true", f"magnitude = {_MAGNITUDE * sizes[moved]:.3g}"]
     lines += [f"unit = {toml_text(flow)}", ""]
     regimes = {}
+    of = quantity_words(port.domain, potential)
     if port.kind == "node" and port.probes.get("rate"):
-        regimes["speed"] = (port.probes["rate"][0], "speed", f"{potential}/s")
+        regimes[of["rate"]] = (port.probes["rate"][0], "speed", f"{potential}/s")
     if port.kind == "node" and port.probes.get("p"):
-        regimes["position" if "rate" in port.probes else "potential"] = (
-            port.probes["p"][0], "angle" if port.domain == "rotational" else "value", potential,
-        )  # fmt: skip
+        kind = "angle" if port.domain == "rotational" else "value"
+        regimes[of["p"]] = (port.probes["p"][0], kind, potential)
     if port.kind == "branch" and port.compliant and port.probes.get("flow"):
-        regimes["flow"] = (port.probes["flow"][0], "value", flow)
+        regimes[of["through"]] = (port.probes["flow"][0], "value", flow)
     for what, (variable, kind, unit) in regimes.items():
         lines += [f"[regimes.{toml_text(f'{port.name} {what}')}]", f"variable = {toml_text(variable)}"]
         lines += [f"kind = {toml_text(kind)}", f"unit = {toml_text(unit)}", ""]

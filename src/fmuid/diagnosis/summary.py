@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -91,7 +92,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     if described:
         names = [f"{in_words(n)}: " if len(described) > 1 else "" for n in described]
         found.append(
-            Fact("In words", "; ".join(n + _lowered(meant[i]) for n, i in zip(names, described, strict=True)))
+            Fact("In words", "; ".join(n + _lowered(meant[i], i) for n, i in zip(names, described, strict=True)))
         )
     where = sorted(diagnosis["where"], key=lambda w: -w["share"])
     if where and gap["present"]:
@@ -280,9 +281,16 @@ def _capital(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
-def _lowered(sentence: str) -> str:
-    """Return a sentence that goes on after a colon; what comes before a colon of its own is a name."""
-    return sentence if sentence.partition(" ")[0].endswith(":") else sentence[:1].lower() + sentence[1:]
+def _lowered(sentence: str, effect: str) -> str:
+    """Return a sentence that goes on after a colon; names of the model stay as they are.
+
+    A name is what comes before a colon of its own, the port or parameter of the effect, or a word with a capital
+    or digit inside.
+    """
+    first = sentence.partition(" ")[0].strip("',.")
+    own = {*re.split(r"[@.]", effect), effect.partition("@")[2]}
+    named_ = first.endswith(":") or first in own or (first != "A" and not first[1:].islower())
+    return sentence if named_ else sentence[:1].lower() + sentence[1:]
 
 
 def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:

@@ -17,6 +17,7 @@ from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import folded, trajectories
 from fmuid.diagnosis.scores import stack
 from fmuid.effects.effect import Effect, Port, Regime
+from fmuid.effects.quantities import words_of
 from fmuid.report.diagnosis_figures import (
     Branch,
     DiagnosisPictures,
@@ -31,7 +32,6 @@ _KNOTS = 11
 _CURVE_KNOTS = 25  # knots of the free function added to a law, enough to show standstill
 _CURVE = 400  # points of a law's curve
 _PANELS = 3  # number of variables shown, those that explain most
-_QUANTITIES = {"rate": ("speed",), "p": ("position", "potential"), "through": ("flow",)}  # regimes of a law
 _ONE_WAY = 0.05  # share of samples in the rarer direction, below which directions are not separated
 _SAME = 1e-6  # share of their range by which two variables differ that are one
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
@@ -159,7 +159,7 @@ def _law(
     formula = parse(effect.expression.replace("^", "**"))
     own = {u.name: np.asarray(values[u.name]) for u in effect.unknowns}
     names = sorted(formula.names - own.keys())
-    found = [f"{effect.port} {word}" for name in names for word in _QUANTITIES.get(name, ())]
+    found = [f"{effect.port} {word}" for name in names for word in words_of(name)]
     regime = next((regimes[name] for name in found if name in regimes), None)
     if len(names) != 1 or regime is None:
         return None

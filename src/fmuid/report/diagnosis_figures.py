@@ -203,9 +203,11 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
     shares = ", ".join(
         f"{100 * m.explained:.0f} % by {m.variable.name}" for m in missing if m.explained is not None
     )
+    directions = ", in each direction of motion," if any(len(m.branches) > 1 for m in missing) else ""
+    turns = "; angles are within one turn" if any(m.variable.unit == "rad" for m in missing) else ""
     caption = (
-        "Points: contribution that a function of one variable, in each direction of motion, must make at the port "
-        "of the verdict, with standard errors; angles are within one turn. Lines: contribution of the effects."
+        f"Points: contribution that a function of one variable{directions} must make at the port of the verdict, "
+        f"with standard errors{turns}. Lines: contribution of the effects."
     ) + (f" Share of the residual's energy that it explains: {shares}." if shares else "")
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 

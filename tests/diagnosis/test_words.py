@@ -1,0 +1,36 @@
+"""Words of a diagnosis: names as the model writes them, quantities of the rig's domain."""
+
+from __future__ import annotations
+
+import pytest
+
+from fmuid.diagnosis.summary import _lowered
+from fmuid.effects.quantities import quantity_words, words_of
+
+
+@pytest.mark.parametrize(
+    ("effect", "sentence", "text"),
+    [
+        ("varies@K", "K falls with the current", "K falls with the current"),
+        ("varies@Kp", "Kp falls with the current", "Kp falls with the current"),
+        ("value@motor.R", "R is larger", "R is larger"),
+        ("T1_drift", "T1 drifts", "T1 drifts"),
+        ("loss@boiler", "boiler: loss of heat", "boiler: loss of heat"),
+        ("air_drag", "Friction grows with speed", "friction grows with speed"),
+        ("eddy@coil", "A shorted turn", "a shorted turn"),
+    ],
+)
+def test_names_keep_their_capitals(effect: str, sentence: str, text: str) -> None:
+    assert _lowered(sentence, effect) == text
+
+
+def test_quantities_have_the_words_of_their_domain() -> None:
+    assert quantity_words("thermal", "K") == {
+        "p": "temperature",
+        "rate": "rate of temperature",
+        "through": "heat flow",
+    }
+    assert quantity_words("rotational", "rad")["rate"] == "speed"
+    assert quantity_words("fluid", "m")["p"] == "level"
+    assert {"speed", "rate of temperature", "rate of level"} <= set(words_of("rate"))
+    assert words_of("acceleration") == ()
