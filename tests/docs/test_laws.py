@@ -13,13 +13,13 @@ _TABLE = re.compile(r"(?<=<!-- laws -->\n).*(?=<!-- end -->)", re.DOTALL)
 
 
 def table() -> str:
-    rows = ["| law | what it is | formula | where it comes from | source |", "|---|---|---|---|---|"]
+    rows = ["| law | what it is | formula | where it comes from |", "|---|---|---|---|"]
     for name, law in laws().items():
         given = law.expression
         formula = given if isinstance(given, str) else "; ".join(f"{d}: {e}" for d, e in given.items())
         formula += f"; flow {law.flow}" if law.flow else ""
         formula += "".join(f"; der({s}) = {v.derivative}" for s, v in law.states.items())
-        rows.append(f"| `{name}` | {law.words} | `{formula}` | {law.origin} | {law.source} |")
+        rows.append(f"| `{name}` | {law.words} | `{formula}` | {law.origin} |")
     return "\n".join([*rows, ""])
 
 
