@@ -23,6 +23,7 @@ from fmuid.cli.app import run
 from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.identification.result import Result
+from fmuid.identification.validate import validate
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.simulator import Task, Variable
 from tests.simulation.fmus import FAULTS, make_oscillator
@@ -73,6 +74,10 @@ def test_init_makes_a_campaign_that_runs(
     assert fmuid("identify", "drive", "--out", "found", "--no-report", "--quiet")[0] == 0
     found = Result.from_json("found").parameters
     assert found == pytest.approx({"m": 1.2, "d": 0.8, "c": 90.0}, rel=0.02)
+    score = validate(Result.from_json("found"), campaign)["pulse", "position_lvdt"]
+    assert score.unit == "mm"  # as in the log; the model has m
+    spread = np.std(campaign.measurements["pulse"].signals["position_lvdt"].values)
+    assert score.rmse == pytest.approx(score.nrmse * spread)
     assert fmuid("init", "step.csv", "--fmu", oscillator, "--out", "drive")[2] == (
         "fmuid: drive/campaign.toml: already exists; name another folder with --out\n"
     )

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fmuid.core.units import Conversion
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.localisation import excess_map
 from fmuid.diagnosis.observed import Observed
@@ -21,7 +22,9 @@ FRICTION = 0.3 * np.abs(SPEED) / 10  # what the model below lacks, N.m
 class Model:
     """Predicts nothing at all, or with an effect a share of what is lacking; a port's drive comes straight through."""
 
-    cases = (SimpleNamespace(id="run", time=TIME, channels=(SimpleNamespace(unit="N.m"),)),)
+    cases = (
+        SimpleNamespace(id="run", time=TIME, channels=(SimpleNamespace(shown_unit="N.m", to_shown=Conversion()),)),
+    )
 
     def __init__(self, lacking):
         self.lacking = lacking

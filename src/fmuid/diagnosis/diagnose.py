@@ -557,9 +557,10 @@ class _Closing:
                 count = float(run.mask[c].sum())
                 sigma = observed.noise[run.setup].of_mean(run.n_repeats)[c]
                 squares = [float(np.sum(((p[c] - run.mean[c]) * run.mask[c]) ** 2)) for p in predictions]
-                own = np.array([count, *squares, count * sigma**2])
+                factor = channel.to_shown.factor**2
+                own = np.array([count, *(factor * x for x in squares), factor * count * sigma**2])
                 sums[channel.signal] = sums.get(channel.signal, np.zeros(4)) + own
-                units[channel.signal] = channel.unit or ""
+                units[channel.signal] = channel.shown_unit
         return {
             name: PhysicalGap(units[name], *(float(np.sqrt(x / total[0])) for x in total[1:]))
             for name, total in sums.items()

@@ -181,7 +181,7 @@ def validate_diagnosis(
             raise outcome
         predictions.append(outcome)
     runs = model.runs
-    units = {(case.id, c.signal): c.unit for case in model.cases for c in case.channels}
+    channels = {(case.id, c.signal): c for case in model.cases for c in case.channels}
     floor = with_states(Observed.from_runs(runs), model, points[0])
     comparisons = []
     for e, run in enumerate(runs):
@@ -189,10 +189,11 @@ def validate_diagnosis(
         for c, signal in enumerate(run.channels):
             before, after = (_rmse(p[e][c], run.values[:, c]) for p in predictions)
             spread = float(np.nanstd(run.values[:, c])) or float("nan")
-            unit = units[run.id, signal]
-            comparisons.append(
-                Comparison(run.id, signal, unit, sigma.get(signal), before, after, before / spread, after / spread)
-            )
+            channel = channels[run.id, signal]
+            factor = abs(channel.to_shown.factor)
+            noise = None if sigma.get(signal) is None else factor * sigma[signal]
+            own = (factor * before, factor * after, before / spread, after / spread)
+            comparisons.append(Comparison(run.id, signal, channel.shown_unit or None, noise, *own))
     gaps, interval = _gaps(floor, predictions), _interval(floor, predictions)
     notes = _of_others(points[0], model)
     return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used, notes)

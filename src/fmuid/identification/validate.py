@@ -32,6 +32,8 @@ class RunScore:
 
     Parameters
     ----------
+    unit
+        Unit of the log.
     rmse
         Root mean square error, in `unit`.
     nrmse
@@ -209,18 +211,19 @@ def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> S
         there = np.isfinite(measured)
         error = np.full(1, np.nan) if prediction is None else (prediction[k] - measured)[there]
         rmse = float(np.sqrt(np.mean(error**2)))
+        factor = abs(channel.to_shown.factor)
         spread, size = float(np.std(measured[there])), float(np.sqrt(np.mean(measured[there] ** 2)))
         scores.append(
             RunScore(
                 case.id,
                 case.setup,
                 channel.signal,
-                channel.unit,
+                channel.shown_unit or None,
                 len(measured),
-                rmse,
+                factor * rmse,
                 rmse / spread if spread > 0.0 else float("nan"),
                 rmse / size if size > 0.0 else float("nan"),
-                None if channel.noise.source == "unknown" else channel.noise.sigma,
+                None if channel.noise.source == "unknown" else factor * channel.noise.sigma,
                 failure,
             )
         )

@@ -83,18 +83,20 @@ def _overlays(found: Found, before: Prediction, after: Prediction | None) -> tup
         c = run.channels.index(signal)
         measured = np.where(run.mask[c] > 0, run.mean[c], np.nan)
         sigma = found.subject.observed.noise[run.setup].sigma[signal]
-        lines: list[tuple[str, Role, FloatArray]] = [("nominal, refitted", "before", before[index][c])]
+        channel = cases[experiment].channels[c]
+        convert = channel.to_shown
+        lines: list[tuple[str, Role, FloatArray]] = [("nominal, refitted", "before", convert(before[index][c]))]
         if after is not None:
-            lines.append(("corrected", "after", after[index][c]))
+            lines.append(("corrected", "after", convert(after[index][c])))
         overlays[run.setup] = Overlay(
             experiment,
             signal,
-            cases[experiment].channels[c].unit or "",
+            channel.shown_unit,
             run.time,
-            measured,
+            convert(measured),
             tuple(lines),
             f"{experiment}: {signal}",
-            float(sigma / np.sqrt(run.n_repeats)),
+            float(abs(convert.factor) * sigma / np.sqrt(run.n_repeats)),
         )
     return tuple(overlays.values())
 

@@ -28,17 +28,19 @@ def overlays(
     """Return one overlay for each channel of `case`; `versions` are (label, role, predictions)."""
     found = []
     for k, channel in enumerate(case.channels):
-        drawn = tuple((label, role, p[k]) for label, role, p in versions if p is not None)
+        convert = channel.to_shown
+        drawn = tuple((label, role, convert(p[k])) for label, role, p in versions if p is not None)
+        sigma = None if channel.noise.source == "unknown" else channel.noise.of_mean(channel.count)
         found.append(
             Overlay(
                 case.id,
                 channel.signal,
-                channel.unit or "",
+                channel.shown_unit,
                 case.task.time,
-                channel.mean,
+                convert(channel.mean),
                 drawn,
                 heading(campaign, case),
-                None if channel.noise.source == "unknown" else channel.noise.of_mean(channel.count),
+                None if sigma is None else abs(convert.factor) * sigma,
             )
         )
     return found

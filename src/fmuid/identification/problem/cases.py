@@ -16,7 +16,7 @@ from fmuid.core.errors import CampaignError, FmuError, MeasurementsError, Proble
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
-from fmuid.core.units import Conversion
+from fmuid.core.units import Conversion, conversion
 from fmuid.data.filtering import LowPass
 from fmuid.data.noise.level import NoiseLevel, conversion_at, noise_elsewhere, noise_level, repeated_runs
 from fmuid.data.noise.runs import RepeatedRuns
@@ -45,6 +45,8 @@ class Channel:
         Whether the sensor differentiates its readings over its samples, as for an encoder's speed.
     filter
         Filter applied to measurement (already in `repeats`) and prediction.
+    recorded
+        Unit in the log, None if it is not known.
     """
 
     signal: str
@@ -55,6 +57,17 @@ class Channel:
     sensor: Mapping[str, Expression] = field(default_factory=dict)
     differentiated: bool = False
     filter: LowPass | None = None
+    recorded: str | None = None
+
+    @property
+    def shown_unit(self) -> str:
+        """Unit for tables and figures: that of the log, else the model's."""
+        return self.recorded or self.unit or ""
+
+    @property
+    def to_shown(self) -> Conversion:
+        """Conversion of values to `shown_unit`; differences and errors use its factor only."""
+        return conversion(self.unit, self.recorded) if self.unit and self.recorded else Conversion()
 
     @property
     def count(self) -> FloatArray:
@@ -302,7 +315,8 @@ def _channel(
         elsewhere = noise_elsewhere(campaign, first, name, unit)
         noise = noise if elsewhere is None else elsewhere.scaled(gain)
     differentiated = model.differentiates(name)
-    return Channel(name, variable, unit, read_only(repeats), noise, sensor, differentiated, low_pass)
+    recorded = first.outputs[name].unit
+    return Channel(name, variable, unit, read_only(repeats), noise, sensor, differentiated, low_pass, recorded)
 
 
 def _case(
