@@ -25,7 +25,7 @@ def canonical(name: str) -> str:
     law, at, place = name.partition("@")
     place, bracket, rest = place.partition("(")
     ends = place.split(".")
-    if len(ends) == 2 and ends[1] != "balance":
+    if len(ends) == 2 and ends[1] != "balance" and law not in ("value", "varies"):
         place = ".".join(sorted(ends))
     return f"{law}{at}{place}{bracket}{rest}"
 

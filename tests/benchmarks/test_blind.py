@@ -1,0 +1,168 @@
+"""The blind check on random rigs: its plants, its cases, and what it makes of answers."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.blind import plants
+from benchmarks.blind.__main__ import publish, verify
+from benchmarks.blind.agreement import TOLERANCE, disagreement
+from benchmarks.blind.page import page
+from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
+from benchmarks.blind.plants.grammar import draw_rig
+from benchmarks.blind.score import Scored, bias, figures, localisation, share
+
+LABEL = {
+    "seed": 1, "rig": 0, "case": "c0000", "number": 0, "stratum": "one", "effects": ["lag@y"], "same": {"lag@y": ["delay@y"]},
+    "background_effects": ["offset@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": None,
+    "places": ["y"], "sizes": {}, "gap": 2.0, "background": 0.2, "noise": "white", "timing": "held", "moving": False,
+    "closed": 0, "style": "components", "kind": "thermal", "determined": ["a"], "values": {"a": 2.0},
+}  # fmt: skip
+
+VARYING = ["varies@wire.R(core.T)", "varies@wire.R(time)", "varies@lead.R(core.T)", "value@wire.R"]
+
+
+def scored(kind="effect", effects=(), one_of=(), ports=(), **label):
+    verdict = {"kind": kind, "effects": list(effects), "one_of": [list(s) for s in one_of], "ports": list(ports)}
+    answer = {"verdict": verdict, "answers": [], "effects": [], "where": [], "model": {"parameters": {"a": 2.2}}}
+    return Scored(LABEL | label, {"answer": answer, "seconds": 3.0, "free": ["a"], "refused": []})
+
+
+def test_plants_share_nothing_with_the_program():
+    folder = Path(plants.__path__[0])
+    for file in folder.glob("*.py"):
+        tree = ast.walk(ast.parse(file.read_text()))
+        names = [
+            n.module if isinstance(n, ast.ImportFrom) else a.name
+            for n in tree
+            if isinstance(n, ast.Import | ast.ImportFrom)
+            for a in n.names
+        ]
+        assert not [n for n in names if n.startswith(("fmuid", "fmu_build"))]
+
+
+@pytest.mark.parametrize("number", [0, 5, 16])
+def test_a_complete_plant_and_its_model_agree(number, tmp_path):
+    assert disagreement(draw_rig(3, number), 3, tmp_path) < TOLERANCE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(50))
+def test_fifty_random_rigs_agree_with_their_models(number, tmp_path):
+    assert disagreement(draw_rig(4, number), 4, tmp_path) < TOLERANCE
+
+
+def test_a_seed_gives_the_same_rigs_and_logs_and_another_one_others(tmp_path):
+    one, again, other = draw_case(5, 16), draw_case(5, 16), draw_case(6, 16)
+    assert write_case(one, tmp_path / "one") == write_case(again, tmp_path / "again")
+    assert one.label == again.label
+    assert one.rig.nominal != other.rig.nominal
+
+
+def test_strata_come_in_their_shares_and_the_background_is_as_large_as_asked_for():
+    strata = [stratum_of(1, k) for k in range(100)]
+    assert {s: strata.count(s) for s in set(strata)} == {
+        "none": 25, "one": 30, "two": 10, "varies": 10, "unknown": 15, "regime": 10,
+    }  # fmt: skip
+    label = draw_case(5, 16).label
+    low, high = (0.7, 1.3) if label["loud"] else (0.07, 0.65)
+    assert low < label["background"] < high
+
+
+def test_a_twin_has_the_same_noise_in_other_units(tmp_path):
+    case, twin = draw_case(5, 14), draw_case(5, 15)
+    assert twin.label["twin_of"] == "c0014"
+    logs = []
+    for one, name in ((case, "case"), (twin, "twin")):
+        write_case(one, tmp_path / name)
+        file = next((tmp_path / name).glob("*_1.csv"))
+        header, *rows = file.read_text().splitlines()
+        logs.append((header.split(","), np.array([row.split(",") for row in rows], dtype=float)))
+    count = 1 + len(case.rig.inputs) + len(case.rig.outputs)
+    (head, a), (other, b) = logs
+    assert head[:count] != other[:count]
+    factors = a[:, 1:count].std(axis=0) / b[:, 1:count].std(axis=0)
+    assert np.allclose(a[:, 1:count], b[:, 1:count] * factors, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "right", "wrong"),
+    [
+        ({"effects": ["lag@y"]}, True, False),
+        ({"effects": ["delay@y"]}, True, False),  # the runs cannot tell it from the lag
+        ({"effects": ["lag@y", "offset@u"]}, True, False),  # of the background
+        ({"effects": ["gain@y"]}, False, True),
+        ({"effects": ["lag@y", "gain@y"]}, False, True),
+        ({"kind": "ambiguous", "one_of": [["lag@y"], ["delay@y"]]}, True, False),
+        ({"kind": "ambiguous", "one_of": [["lag@y"], ["gain@y"]]}, False, False),
+        ({"kind": "unknown"}, False, False),
+        ({"kind": "complete"}, False, False),
+    ],
+)
+def test_what_is_right_and_what_is_a_wrong_name(verdict, right, wrong):
+    case = scored(**verdict)
+    assert (case.right, case.wrong) == (right, wrong)
+
+
+def test_a_coefficient_has_to_be_named_with_what_it_varies_with():
+    label = {"stratum": "varies", "effects": ["varies@wire.R"], "variable": ["core"], "same": {}}
+    named = {n: Scored(LABEL | label, scored(effects=[n]).record) for n in VARYING}
+    assert [n for n, case in named.items() if case.right] == [VARYING[0]]
+    assert named["value@wire.R"].wrong
+
+
+def test_the_ends_of_a_branch_may_come_in_either_order():
+    label = {"effects": ["backlash@v_a.v_b"], "same": {}}
+    assert Scored(LABEL | label, scored(effects=["backlash@v_b.v_a"]).record).right
+
+
+def test_an_interval_is_wider_where_cases_of_a_rig_go_together():
+    rigs = [[True] * 4] * 15 + [[False] * 4] * 5
+    mixed = [[True, True, True, False]] * 20
+
+    def figure(groups):
+        cases = [(scored(rig=k), hit) for k, hits in enumerate(groups) for hit in hits]
+        return share("", [c for c, _ in cases], lambda case: next(h for c, h in cases if c is case))
+
+    together, apart = figure(rigs), figure(mixed)
+    assert together.value == apart.value == 0.75
+    width = [f.interval[1] - f.interval[0] for f in (together, apart)]
+    assert width[0] > 1.5 * width[1]
+    assert together.new_rig[0] < together.interval[0]
+
+
+def test_the_regime_that_is_named_is_compared_sample_by_sample():
+    regime = {"what": "rate", "over": 1.0, "trace": [-2.0, -0.5, 0.5, 1.5, 2.5, 0.0]}
+    case = scored(stratum="regime", regime=regime, places=["rotor"], kind="unknown")
+    assert localisation(case) == 0.0
+    case.answer["where"].append({"regime": {"variable": "rotor.w", "from": 1.2, "to": 3.0}})
+    assert localisation(case) == pytest.approx(2 * 2 / (3 + 2))
+    assert bias(case) == pytest.approx(0.1)
+
+
+def test_the_page_is_what_is_published_and_a_changed_answer_is_noticed(tmp_path, monkeypatch):
+    labels, work = tmp_path / "labels", tmp_path / "work"
+    case = draw_case(5, 16)
+    hashes = write_case(case, work / "cases" / "c0016")
+    (work / "answers" / "c0016").mkdir(parents=True)
+    labels.mkdir()
+    (labels / "c0016.json").write_text(json.dumps({**case.label, "sha256": hashes}))
+    (work / "answers" / "c0016" / "record.json").write_text(json.dumps(scored(kind="complete").record))
+    monkeypatch.setattr("benchmarks.blind.__main__.PUBLISHED", tmp_path / "published")
+    monkeypatch.setattr("benchmarks.blind.__main__.PAGE", tmp_path / "blind.md")
+    folder = publish(5, work, labels)
+    (tmp_path / "blind.md").write_text(page(tmp_path / "published"))
+    assert verify(1) == []
+    answers = folder / "answers.jsonl"
+    answers.write_text(answers.read_text().replace('"complete"', '"unknown"'))
+    (folder / "logs.sha256").write_text((folder / "logs.sha256").read_text().replace("  c", "0  c", 1))
+    assert len(verify(1)) == 2
+
+
+def test_without_cases_no_figure_is_made_up():
+    assert all(f.value is None for f in figures([]))
