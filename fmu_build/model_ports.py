@@ -62,6 +62,8 @@ class Port:
     slides
         Whether a compliant branch passes a flow, of force or torque, that does not depend on where its ends are: a
         motor, a bearing, a brake.
+    coil
+        Whether the flow through an electrical branch is differentiated.
     preferred
         Variables of a compliant branch that are preferred as states, such as its twist. If the potential drops
         between its connectors, they do not determine where the ends are.
@@ -89,6 +91,7 @@ class Port:
     compliant: bool = False
     rigid: bool = False
     slides: bool = False
+    coil: bool = False
     preferred: tuple[str, ...] = ()
     same: tuple[str, ...] = ()
     passed: bool = False
@@ -467,6 +470,7 @@ class _Finder:
                 compliant=(compliant := self._compliant(component, (a, b))),
                 rigid=not compliant and all(self._reaches_store(path) for path in paths),
                 slides=domain in MECHANICAL and compliant and not self._elastic(component, (a, b)),
+                coil=domain == "electrical" and self.classes.find(flow) in self.derived,
                 preferred=self._preferred(component) if compliant else (),
             )  # fmt: skip
 

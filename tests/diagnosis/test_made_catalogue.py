@@ -311,6 +311,8 @@ def test_laws_follow_the_domain():
     assert domain_of("V", None) is None
     assert possible_laws(flat("Circuit"))["capacitor"] == ["leakage", "resistance", "voltage_drop"]
     assert "hysteresis" in possible_laws(flat("TwoMass"))["shaft"]
+    assert "eddy" in possible_laws(flat("Circuit"))["inductor"]
+    assert "eddy" not in possible_laws(flat("Circuit"))["resistor"]
     assert {"capacity", "loss", "radiation"} <= set(possible_laws(flat("Block"))["body"])
     assert "outflow" in possible_laws(flat("Tanks"))["upper"]
 

@@ -57,6 +57,7 @@ class Law(Table):
     compliant: bool = False
     body: bool = False
     absolute: bool = False
+    coil: bool = False
     signed: bool = False
     memory: bool = False
     variant: bool = False
@@ -80,6 +81,8 @@ class Law(Table):
         ):
             return False
         if (self.body and "acceleration" not in port.quantities) or (self.absolute and port.units[0] != "K"):
+            return False
+        if self.coil and not (port.coil or port.kind == "loop"):
             return False
         drops = port.kind == "loop" or bool(port.differences)
         if port.shares and (cuts or self.reaction or (self.acts == "potential" and not drops)):
@@ -188,7 +191,8 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         trials = [trial for i, trial in enumerate(every) if trial not in every[:i]]
     units = {"p": port.units[0], "f": port.units[1], "x": port.units[0]}
     table = f"[effects.{toml_text(id)}"
-    usual = port.kind == law.on[0] or law.slides_at(port) if over is None else over.usual
+    common = port.kind == law.on[0] or law.slides_at(port) or (law.coil and port.coil)
+    usual = common if over is None else over.usual
     variant = law.changes(port) if over is None else over.variant
     lines = [
         f"{table}]",

@@ -208,6 +208,8 @@ def _seen_at(port: Port, course: Mapping[str, FloatArray], t: FloatArray) -> _Se
         return None
     p = own[1] - own[0] if port.kind == "branch" else own[0]
     flow = max((float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course), default=0.0)
+    if port.coil and (through := course.get(port.probes["flow"][0])) is not None:
+        return _Seen(t, p, np.gradient(through, t), flow)
     speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
     if not speeds or len(speeds) != len(port.probes["rate"]):
         return _Seen(t, p, np.gradient(p, t), flow)
