@@ -12,7 +12,7 @@ from typing import cast
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import ADDED, Equation, FlatModel, Variable, flat_name, number, variable
 from fmu_build.front.parser import expression as parse_expression
-from fmu_build.model_ports import Port, coefficients, fed_inputs, find_ports, followers
+from fmu_build.model_ports import Port, coefficients, equations_with, fed_inputs, find_ports, followers
 from fmu_build.suggest import suggestion
 from fmu_build.syntax import Binary, Call, Expression, Part, Reference, Unary, references, transform
 from fmu_build.written_balances import Share
@@ -107,7 +107,7 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
         at[term.port, term.acts].append(term)
     # Equations keep their numbers, so those of a connection are replaced one by one.
     # What acts on written equations, which are known by their numbers, comes before a cut makes two of one.
-    coefficients = {name: own for (name, acts), own in at.items() if acts == "parameter"}
+    varied = {name: own for (name, acts), own in at.items() if acts == "parameter"}
     elsewhere = {place: own for place, own in at.items() if place[1] != "parameter"}
     for (name, acts), own in sorted(elsewhere.items(), key=lambda one: not ports[one[0][0]].shares):
         port = ports[name]
@@ -119,7 +119,8 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
             flat = _with_cut(flat, port, own)
         else:
             flat = _with_signal(flat, port, own)
-    for name, own in coefficients.items():
+    # Those in a single equation first, so that what replaces the parameter elsewhere acts in them as well.
+    for name, own in sorted(varied.items(), key=lambda one: ":" not in one[0]):
         flat = _with_coefficient(flat, name, own)
     return flat
 
@@ -311,16 +312,18 @@ def _with_coefficient(flat: FlatModel, name: str, terms: Sequence[Term]) -> Flat
     Parameters that are computed from it follow.
     """
     known = {c.name for c in coefficients(flat)}
+    parameter, _, determined = name.partition(":")
     if name not in known:
         what = f"'{name}' is not a parameter that acts in the model's equations"
         raise ModelicaError(what, where=terms[0].where, fix=suggestion(name, known))
-    value: Expression = variable(name)
-    own = f"{name}.{VALUE}"
+    value: Expression = variable(parameter)
+    own = f"{name.replace(':', '.')}.{VALUE}"
     while own in flat.variables:  # of an earlier diagnosis
         own += "_"
     before = flat
-    flat = _replaced(flat, {name: variable(own), **_followers(flat, name, variable(own))})
-    flat = flat.with_variable(Variable(own, ADDED, unit=before.variables[name].unit))
+    only = equations_with(flat, parameter)[determined] if determined else None
+    flat = _replaced(flat, {parameter: variable(own), **_followers(flat, parameter, variable(own))}, only)
+    flat = flat.with_variable(Variable(own, ADDED, unit=before.variables[parameter].unit))
     for term in terms:
         quantities = {"p": value}
         flat = _with_states(flat, [term], quantities)
@@ -341,23 +344,23 @@ def _exchange(new: Mapping[str, Expression]) -> Callable[[Expression], Expressio
     return lambda node: new.get(flat_name(node), node) if isinstance(node, Reference) else node
 
 
-def _replaced(flat: FlatModel, new: Mapping[str, Expression]) -> FlatModel:
-    """Exchange parameters in all that holds over time."""
+def _replaced(flat: FlatModel, new: Mapping[str, Expression], only: int | None = None) -> FlatModel:
+    """Exchange parameters in all that holds over time, or only in the equation of that number."""
     change = _exchange(new)
 
-    def of(equations: Iterable[Equation]) -> tuple[Equation, ...]:
-        return tuple(
-            replace(e, left=transform(e.left, change), right=transform(e.right, change)) for e in equations
-        )
+    def changed(e: Equation) -> Equation:
+        return replace(e, left=transform(e.left, change), right=transform(e.right, change))
 
+    if only is not None:
+        return flat.with_equations({only: (changed(flat.equations[only]),)})
     variables = {
         n: replace(v, binding=transform(v.binding, change)) if v.variability == "continuous" else v
         for n, v in flat.variables.items()
     }
     algorithms = tuple(replace(a, statements=transform(a.statements, change)) for a in flat.algorithms)
     return replace(
-        flat, variables=MappingProxyType(variables), equations=of(flat.equations), algorithms=algorithms,
-        whens=transform(flat.whens, change),
+        flat, variables=MappingProxyType(variables), equations=tuple(map(changed, flat.equations)),
+        algorithms=algorithms, whens=transform(flat.whens, change),
     )  # fmt: skip
 
 

@@ -122,10 +122,13 @@ def held_parameters(flat: FlatModel) -> tuple[Variable, ...]:
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A parameter that acts in equations.
+    """A parameter that acts in equations, or one of the places where it does.
 
     Attributes
     ----------
+    name
+        The parameter; of one that acts in several equations, also ``parameter:variable``, where it acts in the
+        equation that determines that variable.
     components
         Components in whose equations it, or a parameter computed from it, acts.
     variables
@@ -136,6 +139,11 @@ class Coefficient:
     unit: str
     components: tuple[str, ...]
     variables: tuple[str, ...]
+
+    @property
+    def parameter(self) -> str:
+        """The parameter."""
+        return self.name.partition(":")[0]
 
 
 def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
@@ -155,7 +163,26 @@ def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
         if near:
             components = tuple(dict.fromkeys(component for component, _ in own))
             found.append(Coefficient(v.name, v.unit or "1", components, tuple(near)))
+            apart = equations_with(flat, v.name)
+            for determined, i in apart.items() if len(apart) > 1 or len(own) > len(apart) else ():
+                e = flat.equations[i]
+                near = dict.fromkeys(n for n in sorted(inside[i][1]) if _is_continuous(flat, n))
+                name = f"{v.name}:{determined}"
+                found.append(Coefficient(name, v.unit or "1", (e.origin.component,), tuple(near)))
     return tuple(found)
+
+
+def equations_with(flat: FlatModel, parameter: str) -> dict[str, int]:
+    """Return the equations in which a parameter acts, by the variable that each determines."""
+    names = {parameter, *followers(flat, parameter)}
+    found: dict[str, list[int]] = {}
+    for i, e in enumerate(flat.equations):
+        if e.origin.kind == "class" and names & {flat_name(r) for r in references((e.left, e.right))}:
+            rates = [name for name in map(differentiated, walk((e.left, e.right))) if name is not None]
+            sides = [flat_name(side) for side in (e.left, e.right) if isinstance(side, Reference)]
+            for name in (*rates, *sides)[:1]:
+                found.setdefault(name, []).append(i)
+    return {name: numbers[0] for name, numbers in found.items() if len(numbers) == 1}
 
 
 def places(flat: FlatModel) -> dict[str, str]:

@@ -89,3 +89,30 @@ def test_a_coefficient_may_have_a_memory():
 def test_what_is_no_coefficient_is_refused():
     with pytest.raises(ModelicaError, match=r"'shaft.q' is not a parameter that acts.*did you mean 'shaft.[cd]'"):
         instrument(flat("TwoMass"), *varying("shaft.q", "p"))
+
+
+MOTOR = """
+model Motor
+  parameter Real K = 2;
+  input Real u;
+  Real i(start = 1, fixed = true);
+  Real w(start = 1, fixed = true);
+equation
+  der(i) = u - i - K*w;
+  der(w) = K*i - w;
+end Motor;
+"""
+
+
+def test_a_parameter_may_vary_in_one_of_its_equations(tmp_path):
+    file = tmp_path / "Motor.mo"
+    file.write_text(MOTOR)
+    model = load(file, "Motor")
+    assert [c.name for c in coefficients(model)] == ["K", "K:i", "K:w"]
+    changed = instrument(model, *varying("K:w", "p*(1 + size*i)", size=0.5))
+    found = derivatives(changed, {"i": 4.0, "w": 3.0})
+    assert found == {"i": pytest.approx(1.0 - 4.0 - 2.0 * 3.0), "w": pytest.approx(2.0 * 3.0 * 4.0 - 3.0)}
+    both, added = varying("K:w", "p*(1 + size*i)", size=0.5)
+    both += [Term("K", "parameter", "3*p")]
+    found = derivatives(instrument(model, both, added), {"i": 4.0, "w": 3.0})
+    assert found == {"i": pytest.approx(1.0 - 4.0 - 6.0 * 3.0), "w": pytest.approx(6.0 * 3.0 * 4.0 - 3.0)}

@@ -169,7 +169,7 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
     base, id, words = f"{port.name}.{name}", f"{name}@{port.name}", f"{port.name}: {law.words}"
     if over is not None:
         name = name.partition("_")[0]
-        base = f"{port.name}.{name}.{re.sub(r'[^A-Za-z0-9]+', '_', over.name).strip('_')}"
+        base = f"{port.name.replace(':', '.')}.{name}.{re.sub(r'[^A-Za-z0-9]+', '_', over.name).strip('_')}"
         id, words = f"{name}@{port.name}({over.name})", f"{words} {over.name}"
     own = {key: base if key == "size" else f"{base}_{key}" for key in law.parameters}
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from fmu_build import compile_flat
 from fmu_build.flat_model import FlatModel
+from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import Coefficient, Port, coefficients
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import SimulationError
@@ -124,11 +125,15 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
-    """A setup's model, linearised along its runs; `index` are the numbers of its cases."""
+    """A setup's model, linearised along its runs.
+
+    `places` are the numbers of the coefficients in the responses; `index` are the numbers of the setup's cases.
+    """
 
     flat: FlatModel
     linear: Linearised
     coefficients: Mapping[str, Coefficient]
+    places: Mapping[str, int]
     index: Sequence[int]
     courses: Sequence[Mapping[str, FloatArray]]
     responses: Sequence[LinearResponse]
@@ -200,8 +205,12 @@ def _setup(subject: Subject, name: str, flat: FlatModel, nominal: Fitted) -> _Se
     own = {c.name: c for c in coefficients(flat)}
     if not index or not own:
         return None
-    linear = Linearised(compile_flat(flat), [*own])
-    own = {n: own[n] for n in linear.parameters}
+    # A parameter that varies in one equation only gets a factor there.
+    factors = {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in own.items()}
+    terms = [Term(n, "parameter", f"p*{factor}") for n, factor in factors.items() if factor != n]
+    split = instrument(flat, terms, [Added(factor, 1.0) for n, factor in factors.items() if factor != n])
+    linear = Linearised(compile_flat(split), [*factors.values()])
+    places = {n: linear.parameters.index(factor) for n, factor in factors.items() if factor in linear.parameters}
     cases = [subject.model.cases[k] for k in index]
     model = replace(subject.model, cases=tuple(cases))
     wanted = dict.fromkeys([*linear.needed, *(v for c in own.values() for v in (*c.variables, *_ends(flat, c)))])
@@ -217,7 +226,7 @@ def _setup(subject: Subject, name: str, flat: FlatModel, nominal: Fitted) -> _Se
             **subject.model.start_values(case, {**subject.model.fixed, **nominal.fit.values}),
         }
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
-    return _Setup(flat, linear, own, index, courses, responses)
+    return _Setup(flat, linear, {n: own[n] for n in places}, places, index, courses, responses)
 
 
 def _ends(flat: FlatModel, c: Coefficient) -> Iterator[str]:
@@ -375,7 +384,7 @@ def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Seque
     parts = [np.zeros((count, w.size)) for w in observed.whiteners]
     own = iter(courses)
     for setup in having:
-        j = setup.linear.parameters.index(name)
+        j = setup.places[name]
         for k, response in zip(setup.index, setup.responses, strict=True):
             case = subject.model.cases[k]
             moved = response.to(j, next(own))
