@@ -25,6 +25,7 @@ from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.unit_to_unit import between_machines
+from fmuid.diagnosis.varying import course_of
 from fmuid.diagnosis.verdict import BetweenMachines, Verdict
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
@@ -230,6 +231,7 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     """Return the JSON object of a campaign's diagnosis, with the catalogue's words and the nominal refit."""
     catalogue = found.subject.catalogue
     described = {e.id: e.description for e in found.subject.effects}
+    described |= _courses(found)
     units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
     answer = found.diagnosis.to_dict()
     for effect in answer["effects"]:
@@ -257,6 +259,13 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     if found.subject.observed.bounded:
         answer["notes"].append(_BOUNDED)
     return answer
+
+
+def _courses(found: Found) -> dict[str, str]:
+    """Return the coefficients that vary in the answers, in words and numbers, by effect."""
+    every = [(e, f) for f in found.surviving for e in found.subject.effects if e.id in f.names]
+    courses = {e.id: course_of(found.subject, e, f.fit.values) for e, f in reversed(every)}
+    return {id: str(course) for id, course in courses.items() if course is not None}
 
 
 def _at_bounds(found: Found) -> list[str]:

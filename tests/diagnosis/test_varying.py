@@ -57,6 +57,9 @@ def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path)
     assert found.corrected.names == ("varies@G(wind)",)
     size = found.corrected.fit.values["G.varies.wind"]
     assert size == pytest.approx(0.05, rel=0.1)
+    page = (tmp_path / "out" / "diagnosis.json").read_text()
+    assert "G grows with wind: +" in page
+    assert "% per m/s, from 20" in page
     again = fmuid.diagnose(tmp_path / "out" / "corrected")
     assert not again.diagnosis.gap.present
 

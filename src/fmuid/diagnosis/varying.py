@@ -31,7 +31,8 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS
 from fmuid.diagnosis.projection import project_off
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
-from fmuid.identification.problem.cases import logged
+from fmuid.effects.effect import Effect
+from fmuid.identification.problem.cases import LOGGED, logged
 
 TIME, WARMTH, COEFFICIENT = "time", "warmth", "parameter"
 _MOST = 10  # coefficients that vary, built into a model
@@ -395,3 +396,70 @@ def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Seque
                 whitened = project_off(whitened.T, observed.nuisances[k]).T
             parts[k] = np.sqrt(observed.repeats[k]) * whitened
     return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """A coefficient over what it depends on.
+
+    Attributes
+    ----------
+    name, unit
+        The coefficient.
+    over, over_unit
+        What it depends on.
+    x, y
+        (N,) values over the range that the runs reach.
+    slope
+        Relative change per unit of `x` of a dependence that is a line, else None.
+    """
+
+    name: str
+    unit: str
+    over: str
+    over_unit: str
+    x: FloatArray
+    y: FloatArray
+    slope: float | None
+
+    def __str__(self) -> str:
+        """Return it in words and numbers."""
+        ends = self.y[0], self.y[-1]
+        moves = "grows" if ends[1] > ends[0] else "falls"
+        unit = "" if self.over_unit == "1" else f" {self.over_unit}"
+        own = "" if self.unit == "1" else f" {self.unit}"
+        rate = "" if self.slope is None else f"{100.0 * self.slope:+.3g} % per{unit or ' unit'}, "
+        return (
+            f"{self.name} {moves} with {self.over}: {rate}from {ends[0]:.3g} to {ends[1]:.3g}{own} "
+            f"over {self.x[0]:.3g} to {self.x[-1]:.3g}{unit}"
+        )
+
+
+def course_of(subject: Subject, effect: Effect, values: Mapping[str, float]) -> Course | None:
+    """Return a coefficient that varies at fitted values over what it depends on; None for other effects."""
+    if effect.acts != "parameter" or not effect.expression:
+        return None
+    formula = parse(effect.expression.replace("^", "**"))
+    own = {u.name: values.get(u.name, u.start) for u in effect.unknowns}
+    (source,) = formula.names - {"p", *own}
+    cases = subject.model.cases
+    every = {**subject.model.fixed, **values}
+    parameter = effect.port.partition(":")[0]
+    case = next(c for c in cases if parameter in c.simulator.variables)
+    p = subject.model.start_values(case, every).get(parameter, case.simulator.variables[parameter].start)
+    if source == TIME:
+        reached = [c.time for c in cases]
+    elif source.startswith(LOGGED):
+        reached = [np.asarray(c.task.inputs[source]) for c in cases]
+    else:
+        reached = [row[0] for row in subject.model.trajectories(every, [source])]
+    x = np.linspace(min(float(r.min()) for r in reached), max(float(r.max()) for r in reached), 200)
+    columns = {n: np.full(len(x), v) for n, v in {"p": p or 0.0, **own}.items()} | {source: x}
+    y = formula.of_samples({n: columns[n] for n in formula.names})
+    sized = len(own) == 1 and effect.expression.startswith("p*(1 + ") and "abs(" not in effect.expression
+    over = effect.id.rpartition("(")[2].rstrip(")")
+    variable = case.simulator.variables.get(source)
+    unit = "s" if source == TIME else effect.inputs.get(source) or (variable.unit if variable else None) or "1"
+    declared = case.simulator.variables[parameter].unit or "1"
+    slope = next(iter(own.values())) if sized else None
+    return Course(effect.port, declared, over, unit, x, y, slope)

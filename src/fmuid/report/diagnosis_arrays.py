@@ -16,6 +16,7 @@ from fmuid.diagnosis.ports import Basis, hats, quantile_knots, times
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.regimes import folded, trajectories
 from fmuid.diagnosis.scores import stack
+from fmuid.diagnosis.varying import course_of
 from fmuid.effects.effect import Effect, Port, Regime
 from fmuid.effects.quantities import words_of
 from fmuid.report.diagnosis_figures import (
@@ -57,7 +58,7 @@ def pictures_of(found: Found) -> DiagnosisPictures:
         if not isinstance(outcome, SimulationError)
     }
     after = next(iter(laws.values()), None)
-    missing = _curves(found) or _missing(found, nominal, laws)
+    missing = _coefficients(found) or _curves(found) or _missing(found, nominal, laws)
     return DiagnosisPictures(_overlays(found, nominal, after), _excess(found), missing, _steps(found))
 
 
@@ -111,6 +112,22 @@ def _excess(found: Found) -> ExcessEnergy | None:
     bins = tuple(RegimeBins(axes.get(name, Axis(name)), edges) for name, edges in energy.edges.items())
     share = np.hstack([energy.binned[name] for name in energy.edges]) * energy.energy[:, None] / total
     return ExcessEnergy(energy.rows, bins, share)
+
+
+def _coefficients(found: Found) -> tuple[MissingQuantity, ...]:
+    """Return the coefficients that vary in the best answer, over what they depend on."""
+    best = found.surviving[0] if found.surviving else None
+    effects = [e for e in found.subject.effects if best is not None and e.id in best.names]
+    courses = [course_of(found.subject, e, best.fit.values) for e in effects] if best is not None else []
+    return tuple(
+        MissingQuantity(
+            Axis(c.over, c.over_unit),
+            Axis(c.name, c.unit),
+            (Branch(np.empty(0), np.empty(0), np.empty(0), ((effect.id, c.x, c.y),)),),
+        )
+        for effect, c in zip(effects, courses, strict=True)
+        if c is not None
+    )
 
 
 def _curves(found: Found) -> tuple[MissingQuantity, ...]:

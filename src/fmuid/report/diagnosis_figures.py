@@ -196,7 +196,8 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
             backward = branch.direction == "backward"
             label = "estimated, backward" if backward else "estimated"
             dots: Role = "before" if backward else "measurement"
-            series.append(Series(label, branch.x, branch.y, dots, branch.standard_error, points=True))
+            if len(branch.x):
+                series.append(Series(label, branch.x, branch.y, dots, branch.standard_error, points=True))
             for k, (name, x, y) in enumerate(branch.laws):
                 series.append(Series(name, x, y, _LAWS[min(k, len(_LAWS) - 1)]))
         panels.append(Panel(f"over {m.variable.name}", m.variable, m.quantity, tuple(series)))
@@ -209,6 +210,8 @@ def missing_figure(missing: Sequence[MissingQuantity]) -> LineFigure | None:
         f"Points: contribution that a function of one variable{directions} must make at the port of the verdict, "
         f"with standard errors{turns}. Lines: contribution of the effects."
     ) + (f" Share of the residual's energy that it explains: {shares}." if shares else "")
+    if not any(len(branch.x) for m in missing for branch in m.branches):
+        caption = "Lines: the coefficient over what it depends on, in the range that the runs reach."
     return LineFigure("missing", "What is missing at the port", tuple(panels), caption, min(len(panels), 3))
 
 
