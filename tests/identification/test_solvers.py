@@ -78,6 +78,19 @@ def test_a_chain_polishes_what_a_global_search_found(analytic):
     assert result.parameters["a"] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_every_link_of_a_chain_reports_its_cost_and_its_evaluations(msd):
+    options = {"bobyqa": {"evaluations": 40}}
+    stage = identify(msd(), solver="bobyqa > trf", options=options, with_uncertainty=False).stages[0]
+    first, second = stage.links
+    assert (first.solver, second.solver) == ("bobyqa", "trf")
+    assert first.evaluations in (39, 40)  # the start is known
+    assert first.cost > second.cost == stage.cost
+    assert (
+        f"bobyqa: {first.cost:.6g} after {first.evaluations}; trf: {second.cost:.6g} after {second.evaluations}"
+        in stage.summary
+    )
+
+
 @pytest.mark.parametrize("budget", [StopRules(evaluations=300), StopRules(seconds=0.4)])
 def test_a_budget_leaves_every_link_of_a_chain_its_share(analytic, budget, monkeypatch):
     """ESCH never ends by itself."""

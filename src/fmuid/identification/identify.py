@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from fmuid.core.campaign import SEPARATOR, AnalysisSpec, Campaign, ParameterSpec, StageSpec, without_owner
 from fmuid.core.errors import ProblemError, SimulationError
@@ -24,6 +25,7 @@ from fmuid.identification.misfit import misfit, unexplained
 from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.problem.solver_error import UNSEEN
 from fmuid.identification.problem.zero_starts import sized
 from fmuid.identification.provenance import fingerprint, hashes_of, versions
 from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, finite
@@ -347,7 +349,7 @@ def _result(
     best, found = search.best, findings.uncertainty
     values = problem.space.tried(problem.space.start)[0] if best is None else dict(best.parameters)
     values = {name: value for name, value in values.items() if math.isfinite(value)}  # no tie without a value
-    held = _unidentified(run, problem) if found is not None else ()
+    held = _unidentified(run, problem, best) if best is not None and found is not None else ()
     bounds = {} if best is None else bounds_reached(problem, best, found)
     estimates = []
     for i, free in enumerate(problem.space.free):
@@ -403,12 +405,17 @@ def _result(
         failures=search.failures,
         seconds=seconds,
         starts=tuple(search.starts),
+        links=tuple(search.links),
         uncertainty=found,
         warnings=(
             *problem.findings,
             *_misfit(problem, first, best, outcome),
             *_warnings(search, estimates, found),
-            *([f"conditional on values that only later stages identify: {', '.join(held)}"] if held else []),
+            *(
+                [f"conditional on values that only later stages identify: {shortened(', '.join(held))}"]
+                if held
+                else []
+            ),
             *findings.warnings,
         ),
         ties={name: expression.text for name, expression in problem.space.ties.items()},
@@ -422,10 +429,17 @@ def _result(
     )
 
 
-def _unidentified(run: _Run, problem: Problem) -> tuple[str, ...]:
-    """Return the parameters that affect the stage, and that only a later stage identifies."""
-    names = {without_owner(n) for n in problem.space.fixed if n not in run.identified and problem.sees(n)}
-    return tuple(n for n in run.later if n in names)
+def _unidentified(run: _Run, problem: Problem, best: Evaluation) -> tuple[str, ...]:
+    """Return the parameters that only a later stage identifies, if they affect this one: moved by a hundredth."""
+    space = problem.space
+    names = [n for n in run.later if n in space.fixed and n not in run.identified and problem.sees(n)]
+    if not names:
+        return ()
+    moved = {n: space.fixed[n] * (1.01 if 1.01 * space.fixed[n] <= run.specs[n].upper else 0.99) for n in names}
+    there = problem.over(replace(space, fixed={**space.fixed, **moved})).evaluate(best.x)
+    here = best if best.residuals.size else problem.evaluate(best.x)
+    unmoved = there.ok and float(np.linalg.norm(there.residuals - here.residuals)) < UNSEEN
+    return () if unmoved else tuple(names)
 
 
 def _note(name: str, found: Uncertainty | None, held: Sequence[str]) -> str:

@@ -24,7 +24,7 @@ from fmuid.identification.history import FILE as HISTORY
 from fmuid.identification.history import JOURNAL, StageHistory, read_run
 from fmuid.identification.misfit import Unexplained
 from fmuid.identification.solvers.pareto import Front
-from fmuid.identification.solvers.search import Start, Status
+from fmuid.identification.solvers.search import Link, Start, Status
 from fmuid.identification.uncertainty.between_machines import MachineSpread
 from fmuid.identification.uncertainty.confidence import Uncertainty
 from fmuid.identification.uncertainty.posterior import Posterior
@@ -119,6 +119,7 @@ class StageResult:
     posterior: Posterior | None = None
     machines: tuple[MachineSpread, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
+    links: tuple[Link, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
         return _find(self.estimates, name)
@@ -147,7 +148,10 @@ class StageResult:
             if self.cost is None or self.start_cost is None
             else (f", cost {self.start_cost:.4g} -> {self.cost:.4g}")
         )
-        how = f"{self.name}: {self.status.value} ({self.message}) by {self.solver}"
+        each = "; ".join(f"{one.solver}: {one.cost:.6g} after {one.evaluations}" for one in self.links)
+        how = f"{self.name}: {self.status.value} ({self.message}) by {self.solver}" + (
+            f" ({each})" if each else ""
+        )
         left = "".join(f"; {one}" for one in self.unexplained)
         return f"{how}, {self.evaluations} evaluations in {self.seconds:.1f} s{cost}{left}"
 

@@ -12,7 +12,6 @@ from fmuid.core.formatting import Fact, counted, interval_digits
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import read_history
 from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
-from fmuid.identification.solvers import Status
 from fmuid.identification.validate import RunScore, Validation, validate
 from fmuid.report import figures
 from fmuid.report.document import Document, Section, write_document
@@ -108,7 +107,8 @@ def write_report(
 def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     """Return the facts at the top: success, accuracy, and errors on held-out runs."""
     evaluations = sum(s.evaluations for s in result.stages)
-    good = result.status is Status.CONVERGED
+    good = all(stage.sound for stage in result.stages)
+    left = "; ".join(f"{stage.name}: {one}" for stage in result.stages for one in stage.unexplained)
     found = []
     judged = [(s.rmse / s.noise_floor, s) for s in validation if s.noise_floor and np.isfinite(s.rmse)]
     if judged:
@@ -120,7 +120,8 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     found.append(
         Fact(
             "Search",
-            f"{result.status.value}, {evaluations} evaluations in {result.seconds:.1f} s",
+            f"{result.status.value}, {evaluations} evaluations in {result.seconds:.1f} s"
+            + (f"; {left}" if left else ""),
             "good" if good else "warn",
         )
     )
@@ -226,7 +227,7 @@ def _estimates_table(
         row += [values.get(e.name) for values in published.values()]
         note = f"at its {e.at_bound} bound" if e.at_bound else e.description
         given = f"given the values of {', '.join(e.depends_on)}" if e.depends_on else ""
-        row += [stage_of[e.name], "; ".join(filter(None, [note, given]))]
+        row += [stage_of[e.name], "; ".join(filter(None, [e.note, note, given]))]
         rows.append(tuple(row))
     caption = (
         "Standard errors and intervals cover the noise, the colour of the residuals, and the errors of values "
@@ -264,7 +265,7 @@ def _stages_table(result: Result) -> Table:
         (
             s.name,
             f"{s.status.value} ({s.message})",
-            s.solver,
+            "; ".join([s.solver, *(f"{k.solver}: cost {k.cost:.6g} after {k.evaluations}" for k in s.links)]),
             ", ".join(e.name for e in s.estimates if e.name not in s.ties),
             s.evaluations,
             s.failures,

@@ -13,7 +13,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.parallel_searches import ParallelSearches
-from fmuid.identification.solvers.search import Outcome, Search, Solver, Start, Status, StopSearch
+from fmuid.identification.solvers.search import Link, Outcome, Search, Solver, Start, Status, StopSearch
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Chain:
         """See `Solver.solve`."""
         outcome = Outcome(Status.FAILED, "no solver in the chain")
         for k, link in enumerate(self.links):
-            left = len(self.links) - k
+            left, before = len(self.links) - k, search.evaluations
             try:
                 with search.share(left):
                     outcome = link.solve(search, start)
@@ -54,6 +54,7 @@ class Chain:
                 outcome = stopped.outcome
             if search.reached is None:
                 break
+            search.links.append(Link(link.name, search.cost_of(search.reached), search.evaluations - before))
             start = search.reached.x
         return outcome
 

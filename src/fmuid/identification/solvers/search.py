@@ -69,6 +69,15 @@ class Start:
     evaluations: int
 
 
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A solver of a chain: the cost that it reached, and the number of its evaluations."""
+
+    solver: str
+    cost: float
+    evaluations: int
+
+
 Record = Callable[[Evaluation, str, bool], None]
 """Called with every evaluation, its purpose, and whether it is the best so far."""
 Recall = Callable[[FloatArray, bool], Evaluation | None]
@@ -117,6 +126,7 @@ class Search:
         self.best: Evaluation | None = None
         self.reached: Evaluation | None = None  # best since `refocus`
         self.starts: list[Start] = []
+        self.links: list[Link] = []
         self.cost_of: Callable[[Evaluation], float] = lambda evaluation: evaluation.cost
         self.limits_of: Goals = lambda _: np.zeros(0)
         # Goals whose largest value is the cost, if any: solvers that take constraints then have a smooth problem.
