@@ -176,7 +176,10 @@ class Component:
 
 @dataclass(frozen=True)
 class Formal:
-    """An input, output or local variable of a function; a size of None is open (``:``)."""
+    """An input, output or local variable of a function; a size of None is open (``:``).
+
+    A default that is `outside` is an expression of the component to which the function belongs.
+    """
 
     name: str
     at: Place
@@ -185,6 +188,7 @@ class Formal:
     default: Expression | None = None
     fields: tuple[Formal, ...] | None = None
     literals: tuple[str, ...] = ()
+    outside: bool = False
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import Connector, Equation, Origin
 from fmu_build.front.classes import ClassDef, ComponentDef, Modification
 from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
+from fmu_build.front.overconstrained import Tree, VirtualGraph
 from fmu_build.front.resolve import Absent, Env, Item, Many, NotInBusError, Resolver, Var, check_visible
-from fmu_build.syntax import All, Assert, Binary, Connect, Expression, Literal, Part, Place, Reference, Unary
+from fmu_build.syntax import All, Assert, Binary, Call, Expression, Literal, Part, Place, Reference, Unary
 
 Element = tuple[str, tuple[int, ...]]  # variable and index
 
@@ -36,7 +38,7 @@ class Leaf:
 class Written:
     """A connect equation with its scope."""
 
-    connect: Connect
+    connect: Any  # Connect, or a call of one of the operators of Connections
     scope: Instance
     env: Env
 
@@ -53,10 +55,12 @@ class Connections:
         self.equations: list[Equation] = []
         self.asserts: list[Assert] = []
         self.touched: set[str] = set()  # names of connected variables
+        self._tree = Tree()
 
-    def run(self, connects: list[Written]) -> None:
-        """Process all connect equations of the model."""
+    def run(self, connects: list[Written], declared: Sequence[Written]) -> None:
+        """Process all connect equations of the model, and its calls of ``Connections.root`` and the like."""
         pairs = self._fill_buses(connects)
+        self._tree = self._resolver.tree = self._virtual_graph(pairs, declared).tree()
         for written, left, right in pairs:
             at = written.connect.at
             if len(left) != len(right):
@@ -64,6 +68,7 @@ class Connections:
                 raise ModelicaError(
                     f"{names} have {len(left)} and {len(right)} elements and cannot be connected", where=at
                 )
+            self._resolver.connected.update([*{leaf.path for leaf in left}, *{leaf.path for leaf in right}])
             for a, b in zip(left, right, strict=True):
                 self._join(a, b, written, (a.path, b.path))
 
@@ -182,10 +187,79 @@ class Connections:
                                 grown = True
         return grown
 
+    # ---- overconstrained connectors
+
+    def _virtual_graph(
+        self, pairs: list[tuple[Written, list[Leaf], list[Leaf]]], declared: Sequence[Written]
+    ) -> VirtualGraph:
+        graph = VirtualGraph()
+        for written in declared:
+            self._declare(graph, written)
+        for written, left, right in pairs:
+            for a, b in zip(left, right, strict=False):
+                for edge in self._records(a.item, b.item):
+                    graph.connections.setdefault(edge, written.connect.at)
+        return graph
+
+    def _declare(self, graph: VirtualGraph, written: Written) -> None:
+        call = written.connect.call
+        name = call.function.removeprefix("Connections.")
+        if name not in ("branch", "root", "potentialRoot"):
+            raise ModelicaError(f"'{call.function}' is not supported", where=call.at)
+        nodes = [self._node(a, written) for a in call.arguments[: 2 if name == "branch" else 1]]
+        if name == "branch":
+            graph.branches[(nodes[0], nodes[1])] = call.at
+        elif name == "root":
+            graph.definite[nodes[0]] = call.at
+        else:
+            given = [*call.arguments[1:], *(value for _, value in call.named)]
+            priority: Any = 0
+            if given:
+                resolver = self._resolver
+                priority = resolver.known(resolver.expr(given[0], written.scope, written.env), call.at)
+            graph.potential[nodes[0]] = int(priority)
+
+    def _node(self, e: Any, written: Written) -> str:
+        found = self._resolver.expr(e, written.scope, written.env)
+        if not isinstance(found, Reference) or found.subscripts:
+            raise ModelicaError("an overconstrained record or variable is expected here", where=written.connect.at)
+        return found.name
+
+    def _records(self, a: Item, b: Item) -> Iterator[tuple[str, str]]:
+        """Yield the pairs of overconstrained records or variables inside two connected connectors."""
+        if self._resolver.constraint(a) is not None:
+            yield _path(a), _path(b)
+        elif isinstance(a, Instance) and isinstance(b, Instance):
+            for name, slot in list(a.slots.items()):
+                if isinstance(slot.element, ComponentDef) and name in b.slots:
+                    yield from self._records(self._resolver.item(a, name), self._resolver.item(b, name))
+        elif isinstance(a, Many) and isinstance(b, Many):
+            for one, other in zip(a.items, b.items, strict=False):
+                yield from self._records(one, other)
+
+    def _cut(self, a: Leaf, b: Leaf, written: Written) -> bool:
+        """Whether a connection is broken; then the function ``equalityConstraint`` makes its equations."""
+        edge = (_path(a.item), _path(b.item))
+        if edge not in self._tree.broken:
+            return False
+        function = self._resolver.constraint(a.item)
+        if function is None:
+            return False
+        at = written.connect.at
+        key = self._resolver.function_key(function, at)
+        call = Call(at, key, tuple(Reference(at, (Part(name),)) for name in edge))
+        origin = Origin("potential", written.scope.root.path or "", written.scope.class_name, edge)
+        if a.index in ((), tuple(1 for _ in a.index)):  # once for all elements of a variable
+            self.equations.append(Equation(call, Literal(at, 0), origin, at))
+        return True
+
     # ---- sets
 
     def _join(self, a: Leaf, b: Leaf, written: Written, connectors: tuple[str, str]) -> None:
         at = written.connect.at
+        if self._tree.broken and self._cut(a, b, written):
+            self.touched |= {_path(a.item), _path(b.item)}
+            return
         if isinstance(a.item, Instance) and isinstance(b.item, Instance):
             for name, slot in a.item.slots.items():
                 if not isinstance(slot.element, ComponentDef):
@@ -409,6 +483,10 @@ def connector(item: Instance | Var, resolver: Resolver) -> Connector:
     visit(item)
     owner = item.owner.path if item.owner is not None else ""
     return Connector(item.path or "", owner or "", item.class_name, tuple(potentials), tuple(flows_))
+
+
+def _path(item: Item) -> str:
+    return item.path or "" if isinstance(item, Instance) else getattr(item, "name", "")
 
 
 def _is_connector(item: Item) -> bool:

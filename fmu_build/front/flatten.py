@@ -116,6 +116,7 @@ class _Flattener:
         self.order: list[Var] = []
         self.tree: list[Instance] = []
         self.connects: list[Written] = []
+        self.declared: list[Written] = []  # roots and branches of overconstrained connectors
         self.sink = _Sink()
         self.initial = _Sink()
         self.algorithms: list[Algorithm] = []
@@ -132,7 +133,7 @@ class _Flattener:
                     if section.kind == "equation":
                         self._gather_connects(section.items, base, {})
         connections = Connections(self.resolver)
-        connections.run(self.connects)
+        connections.run(self.connects, self.declared)
         self.order.clear()
         self.tree.clear()
         self._visit(root)  # again, because buses have grown
@@ -275,6 +276,8 @@ class _Flattener:
         for item in items:
             if isinstance(item, Connect):
                 self.connects.append(Written(item, scope, dict(env)))
+            elif _is_operator(item):
+                self.declared.append(Written(item, scope, dict(env)))
             elif isinstance(item, ForStatement):
                 if _has_connect(item.body):
                     for inner in self._unrolled(item, scope, env):
@@ -306,26 +309,28 @@ class _Flattener:
         for section in scope.definition.sections:
             if section.kind == "equation":
                 sink = self.initial if section.initial else self.sink
-                for item in section.items:
-                    self._equation(item, scope, {}, origin, sink)
+                self._equations(section.items, scope, {}, origin, sink)
             else:
                 statements = self.resolver.statements(section.items, scope, {})
                 target = self.initial_algorithms if section.initial else self.algorithms
                 target.append(Algorithm(statements, origin, section.at))
 
+    def _equations(self, items: Sequence[Any], scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
+        """Add equations, except connections, which are done already."""
+        for item in items:
+            if not isinstance(item, Connect) and not _is_operator(item):
+                self._equation(item, scope, env, origin, sink)
+
     def _equation(self, item: Any, scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
         expr = self.resolver.expr
         match item:
-            case Connect():
-                pass
             case SourceEquation():
                 sink.equations.append(
                     Equation(expr(item.left, scope, env), expr(item.right, scope, env), origin, item.at)
                 )
             case ForStatement():
-                rounds = ((part, inner) for inner in self._unrolled(item, scope, env) for part in item.body)
-                for part, inner in rounds:
-                    self._equation(part, scope, inner, origin, sink)
+                for inner in self._unrolled(item, scope, env):
+                    self._equations(item.body, scope, inner, origin, sink)
             case IfStatement():
                 self._if(item, scope, env, origin, sink)
             case WhenStatement() | Terminate():
@@ -345,8 +350,7 @@ class _Flattener:
 
     def _if(self, item: IfStatement, scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
         def take(body: tuple[Any, ...], into: _Sink) -> _Sink:
-            for part in body:
-                self._equation(part, scope, env, origin, into)
+            self._equations(body, scope, env, origin, into)
             return into
 
         if _has_connect(item.branches):
@@ -522,8 +526,6 @@ def _no_equation(item: Any) -> str:
     if not isinstance(item, AssignMany):
         return "this equation is not supported"
     name = item.call.function
-    if name.startswith("Connections."):
-        return f"'{name}' is not supported"
     return f"a call of '{name}' as an equation is not supported"
 
 
@@ -549,10 +551,12 @@ def _bare(reference: Reference) -> Any:
 
 
 def _has_connect(tree: Any) -> bool:
-    return any(
-        isinstance(n, Connect) or (isinstance(n, AssignMany) and n.call.function.startswith("Connections."))
-        for n in walk(tree)
-    )
+    return any(isinstance(n, Connect) or _is_operator(n) for n in walk(tree))
+
+
+def _is_operator(node: Any) -> bool:
+    """Whether an equation is a call of an operator of ``Connections``."""
+    return isinstance(node, AssignMany) and node.call.function.startswith("Connections.")
 
 
 def _merge(

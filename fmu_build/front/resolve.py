@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -28,6 +29,7 @@ from fmu_build.front.instances import (
     field_mod,
     merge,
 )
+from fmu_build.front.overconstrained import Tree
 from fmu_build.front.parser import annotation
 from fmu_build.functions import Functions
 from fmu_build.graph import SX
@@ -149,6 +151,8 @@ class Resolver:
         self.shown_constants: dict[str, Var] = {}
         self.warnings: list[str] = []
         self.files: tuple[Path, ...] = ()
+        self.tree: Tree | None = None  # of overconstrained connectors, once it is known
+        self.connected: Counter[str] = Counter()  # number of connections of each connector, once it is known
         self._function_keys: dict[tuple[int, int, int], str] = {}
         self._open: set[tuple[int, str]] = set()
         self._values: dict[str, Value] = {}
@@ -792,7 +796,7 @@ class Resolver:
             if shadow is None or (isinstance(shadow, ClassRef) and shadow.definition.kind == "builtin"):
                 return self._builtin(e, scope, env)
         if name in UNSUPPORTED or parts[0] == "Connections":
-            raise ModelicaError(f"'{name}' is not supported", where=e.at)
+            return self._in_tree(e, scope, env)
         reference = Reference(e.at, tuple(Part(p) for p in parts), e.rooted)
         found = self._function_class(reference, scope)
         if found is None:
@@ -809,11 +813,35 @@ class Resolver:
         key = self.function_key(ref, e.at)
         function = self.functions[key]
         arguments = self._positional(e, [f.name for f in function.inputs], name, scope, env)
+        arguments = _with_outside(function, arguments)
         if function.external is not None and function.external[0].startswith("builtin:"):
             by_name = dict(zip([f.name for f in function.inputs], arguments, strict=False))
             used = [by_name[a.name] for a in function.external[1] if isinstance(a, Reference)]
             return Call(e.at, function.external[0].removeprefix("builtin:"), tuple(used))
         return Call(e.at, key, arguments)
+
+    def _in_tree(self, e: Call, scope: Instance, env: Env) -> Literal:
+        """Truth of ``Connections.isRoot(R)`` or ``Connections.rooted(R)``; nothing similar is supported."""
+        if e.function not in ("Connections.isRoot", "Connections.rooted", "rooted"):
+            raise ModelicaError(f"'{e.function}' is not supported", where=e.at)
+        node = self.expr(e.arguments[0], scope, env) if len(e.arguments) == 1 else None
+        if self.tree is None or not isinstance(node, Reference):
+            raise ModelicaError(f"{e.function}() is not allowed here", where=e.at)
+        return Literal(e.at, node.name in (self.tree.roots if e.function.endswith("isRoot") else self.tree.rooted))
+
+    def constraint(self, item: Item) -> ClassRef | None:
+        """Return the function ``equalityConstraint`` of the class of a component; None if it has none."""
+        if isinstance(item, Instance):
+            owner = item
+        elif isinstance(item, Var) and isinstance(item.slot.element, ComponentDef):
+            ref = self.world.find_class(item.slot.scope, item.slot.element.type)
+            if ref.definition.kind == "builtin":
+                return None
+            owner = self.world.package(ref, item.at) if ref.slot is None else self.world.package(ref.slot, item.at)
+        else:
+            return None
+        slot = owner.slot("equalityConstraint")
+        return None if slot is None else self.world.class_ref(slot)
 
     def _function_class(self, reference: Reference, scope: Instance) -> ClassRef | None:
         """Class of a function by name; the name may begin with a component (``medium.f``)."""
@@ -871,7 +899,7 @@ class Resolver:
             path = scope.root.path
             return Literal(e.at, f"{model}.{path}" if path else model)
         if e.function == "cardinality":
-            raise ModelicaError("'cardinality' is not supported", where=e.at)
+            return self._cardinality(e, scope, env)
         first = e.arguments[0] if e.arguments else None
         if not isinstance(first, Reference) or first.parts[0].name in env:
             return None
@@ -892,6 +920,13 @@ class Resolver:
         if not 1 <= position <= len(dims):
             raise ModelicaError(f"'{first.name}' has {len(dims)} dimensions", where=e.at)
         return Literal(e.at, dims[position - 1])
+
+    def _cardinality(self, e: Call, scope: Instance, env: Env) -> Literal:
+        """Return the number of connections of a connector."""
+        node = self.expr(e.arguments[0], scope, env) if len(e.arguments) == 1 else None
+        if self.tree is None or not isinstance(node, Reference):
+            raise ModelicaError("cardinality() is not allowed here", where=e.at)
+        return Literal(e.at, self.connected.get(node.name, 0))
 
     def _dims(self, e: Reference, scope: Instance, env: Env) -> tuple[int, ...] | None:
         """Sizes of a component without subscripts; None if that is not enough to know them."""
@@ -969,11 +1004,12 @@ class Resolver:
         instance = Instance(self.world, ref.definition, ref.parent, merge(slot.mod, ref.mod, name))
         subscripts = [(s, slot.scope) for s in component.subscripts] + instance.subscripts
         shape = tuple(None if isinstance(s, All) else self._size(s, scope) for s, scope in subscripts)
-        default = None
+        default, outside = None, False
         value = instance.attributes if instance.builtin or instance.enumeration else instance.mod
         if value.value is not None:
             assert value.scope is not None
             default = self.expr(value.value, value.scope, {})
+            outside = value.scope.root.path is not None
         fields = None
         if instance.builtin:
             type_name = instance.builtin
@@ -987,7 +1023,8 @@ class Resolver:
             raise ModelicaError(
                 f"'{name}' of '{ref.definition.path}' is not supported in a function", where=component.at
             )
-        return Formal(name, component.at, type_name, shape, default, fields, literal_names(instance.enumeration))
+        literals = literal_names(instance.enumeration)
+        return Formal(name, component.at, type_name, shape, default, fields, literals, outside)
 
     def _size(self, subscript: Expression, scope: Instance) -> Expression:
         if isinstance(subscript, Reference):
@@ -1316,6 +1353,17 @@ def _in_package(instance: Instance) -> bool:
             return True
         owner = owner.root.owner
     return False
+
+
+def _with_outside(function: Function, arguments: tuple[Expression | None, ...]) -> tuple[Expression | None, ...]:
+    """Give a function of a component the defaults that depend on the component."""
+    if not any(formal.outside for formal in function.inputs):
+        return arguments
+    padded = [*arguments, *[None] * (len(function.inputs) - len(arguments))]
+    return tuple(
+        formal.default if given is None and formal.outside else given
+        for formal, given in zip(function.inputs, padded, strict=True)
+    )
 
 
 def literal_names(enumeration: ClassDef | None) -> tuple[str, ...]:
