@@ -71,7 +71,7 @@ def test_three_objectives_fill_the_triangle_between_their_optima(analytic):
     points = np.array([(1.0, p.parameters["a"], p.parameters["b"]) for p in front.points])
     shares = np.linalg.solve(np.vstack([np.ones(3), np.array(list(corners.values())).T]), points.T)
     assert len(points) == 10
-    assert np.all(shares > -0.01)
+    assert np.min(shares) > -0.02
     assert np.all(np.max(shares, axis=1) > 0.97)  # every corner
     assert np.any(np.min(shares, axis=0) > 0.15)  # and inside
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from fmuid.identification.solvers.search import Goals, Search, Solver, StopSearc
 _EQUAL = 1e-6  # share of an objective's range over the front: closer points are the same
 _GIVES = 1e-3  # share of its range by which the end of a front may be worse, so that the other objectives count
 _SMALLEST_WEIGHT = 0.02
+_GENERATIONS = 12  # of the exploration before the searches along rays
+_SHARE = 8  # of a budget that is left for the searches along rays
+_CROSSING = 0.7  # share of the coordinates that a child takes from others
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +149,18 @@ def _trace(
     found: list[Evaluation],
 ) -> None:
     """Add points to `found`, so that those found within the budget remain available."""
+    known = [best, *_explored(search, objectives, points)]
 
     def solve(start: Evaluation, goals: Goals, limits: Goals | None = None) -> Evaluation:
         search.aim(goals, limits)
+        # Behind every piece of a front there may be local ones, so the search begins at the best point known.
+        candidates = [start, *known, *found]
+        allowed = [e for e in candidates if limits is None or np.all(limits(e) <= 0.0)] or [start]
+        first = min(allowed, key=lambda e: float(np.max(goals(e))))
+        search.evaluate(first.x)
         with suppress(SimulationError):
-            solver.solve(search, start.x)
-        return search.reached or start
+            solver.solve(search, first.x)
+        return search.reached or first
 
     k = len(objectives.names)
     alone = [solve(best, lambda e, i=i: objectives(e)[[i]]) for i in range(k)]  # type: ignore[misc]
@@ -177,6 +186,78 @@ def _trace(
         weights = np.maximum(ray, _SMALLEST_WEIGHT)
         found.append(solve(near, lambda e, weights=weights: distances(e) / weights))  # type: ignore[misc]
         rays.append(ray)
+
+    if k == 2:
+        _fill(found, objectives, points, distances, solve)
+
+
+def _fill(
+    found: list[Evaluation],
+    objectives: Objectives,
+    points: int,
+    distances: Goals,
+    solve: Callable[[Evaluation, Goals, Goals], Evaluation],
+) -> None:
+    """Add points in the widest gaps of a front of two objectives, where rays end at the same or dominated points."""
+    tried: set[tuple[float, float]] = set()
+    for _ in range(points):
+        front = _undominated(found, objectives)
+        if len(front) >= points:
+            return
+        places = [float(distances(e)[0]) for e in front]
+        gaps = [(b - a, k) for k, (a, b) in enumerate(pairwise(places)) if (a, b) not in tried]
+        if not gaps:
+            return
+        _, k = max(gaps)
+        tried.add((places[k], places[k + 1]))
+        middle = 0.5 * (places[k] + places[k + 1])
+        found.append(
+            solve(front[k], lambda e: distances(e)[[1]], lambda e, m=middle: distances(e)[[0]] - m)  # type: ignore[misc]
+        )
+
+
+def _explored(search: Search, objectives: Objectives, points: int) -> list[Evaluation]:
+    """Return points of a differential evolution towards the front, from which the searches along rays begin.
+
+    Children dominate their parents, or replace them where neither dominates and the parent is in a denser place
+    (as in GDE3; Kukkonen and Lampinen, 2005). Without bounds there is no space to explore.
+    """
+    from scipy.stats import qmc
+
+    if not search.problem.space.bounded:
+        return []
+    random = np.random.default_rng(search.seed)
+    width, count = search.upper - search.lower, 2 * points
+    unit = qmc.Sobol(len(search), rng=random).random_base2(int(np.ceil(np.log2(count))))
+    search.aim(objectives)
+    people = [e for e in search.evaluate_many([search.lower + u * width for u in unit]) if _admitted(search, e)]
+    limit = search.stop.evaluations
+    for _ in range(_GENERATIONS if limit is None else min(_GENERATIONS, limit // (_SHARE * len(unit)) - 1)):
+        if len(people) < 4:
+            return people
+        children = []
+        for one in people:
+            a, b, c = (people[k].x for k in random.choice(len(people), 3, replace=False))
+            crossed = random.random(len(search)) < _CROSSING
+            crossed[random.integers(len(search))] = True
+            children.append(np.clip(np.where(crossed, a + 0.5 * (b - c), one.x), search.lower, search.upper))
+        people = [*people, *(e for e in search.evaluate_many(children) if _admitted(search, e))]
+        people = _fittest(people, objectives, count)
+    return people
+
+
+def _admitted(search: Search, evaluation: Evaluation) -> bool:
+    return evaluation.ok and search.feasible(evaluation)
+
+
+def _fittest(people: Sequence[Evaluation], objectives: Objectives, count: int) -> list[Evaluation]:
+    """Return the best `count`: by the number of points that dominate each, then those with far neighbours."""
+    values = np.array([objectives(e) for e in people])
+    scaled = values / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny)
+    beaten = np.array([np.sum(np.all(scaled <= v, axis=1) & np.any(scaled < v, axis=1)) for v in scaled])
+    away = np.linalg.norm(scaled[:, None] - scaled[None], axis=2) + np.diag(np.full(len(scaled), np.inf))
+    order = np.lexsort([-np.min(away, axis=1), beaten])
+    return [people[k] for k in order[:count]]
 
 
 def _between(k: int, points: int) -> list[FloatArray]:
