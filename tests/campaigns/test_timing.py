@@ -85,8 +85,8 @@ def test_a_row_that_a_log_has_lost_is_reported(model: Fmu, lost) -> None:
     keep = np.arange(TIME.size) != lost
     count = int(keep.sum())
     task = Task(TIME[:count], {"u": ramp[keep]}, OUTPUTS, interpolation="linear")
-    seen = [SeenRun(model, task, y[:, keep], in_process)]
-    found = lost_rows(seen, ["log"], [model.variables[n] for n in ("R", "C", "G")])
+    seen = SeenRun(model, task, y[:, keep], in_process)
+    found = lost_rows([seen.refitted([model.variables[n] for n in ("R", "C", "G")])], ["log"])
     assert [row.sample for row in found] == ([lost] if lost else [])
 
 
@@ -144,3 +144,10 @@ def test_a_campaign_states_the_timing_of_a_model_and_of_single_signals(model: Fm
 def test_timings_that_make_no_sense(model: Fmu, tmp_path: Path, timing: str, signals: str, line: str) -> None:
     with pytest.raises(CampaignError, match=line):
         load_campaign(campaign(model, tmp_path, timing, signals))
+
+
+def test_a_fit_far_from_the_start_value_reaches_the_guessed_bounds(model: Fmu) -> None:
+    u, free = command(), [model.variables[n] for n in ("R", "C", "G")]
+    y = model.simulate(Task(TIME, {"u": u}, OUTPUTS), {"R": 19.0, "C": 900.0, "G": 1.2})
+    fitted = SeenRun(model, Task(TIME, {"u": u}, OUTPUTS), y, in_process).refitted(free)
+    assert [fitted.at_bound(v) for v in free] == [False, True, False]

@@ -56,6 +56,8 @@ class FirstChoice:
         Rows that logs seem to have lost.
     depends
         Free parameter -> fixed ones on whose values its estimate depends.
+    wide
+        Free parameters that fits of single runs move by more than a factor of ten.
     """
 
     free: tuple[Variable, ...]
@@ -63,6 +65,7 @@ class FirstChoice:
     timing: Convention
     lost: tuple[LostRow, ...] = ()
     depends: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    wide: tuple[str, ...] = ()
 
 
 def first_choice(
@@ -114,11 +117,13 @@ def first_choice(
             held.setdefault(reason, []).append(variable)
     of_held = {v.name: effects[v.name] for r in (EXPLAINED, CONSTRUCTION) for v in held[r]}
     depends = dependence({v.name: effects[v.name] for v in free}, of_held)
-    timing, lost = Convention("held"), tuple[LostRow, ...]()
+    timing, lost, wide = Convention("held"), tuple[LostRow, ...](), tuple[str, ...]()
     if free and not away:
         timing = chosen(timing_conventions(seen, free))
-        lost = lost_rows([timed(one, timing) for one in seen], [run.id for run in runs[:_MAX_RUNS]], free)
-    return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, timing, lost, depends)
+        fits = [timed(one, timing).refitted(free) for one in seen]
+        lost = lost_rows(fits, [run.id for run in runs[:_MAX_RUNS]])
+        wide = tuple(v.name for v in free if sum(fit.at_bound(v) for fit in fits) > len(fits) / 2)
+    return FirstChoice(free, {r: tuple(v) for r, v in held.items() if v}, timing, lost, depends, wide)
 
 
 def _known_parameters(parameters: Sequence[Variable], text: ModelText) -> dict[str, str]:

@@ -132,14 +132,14 @@ def is_temperature(parameter: Variable) -> bool:
     return unit != "K" or (parameter.start or 0.0) >= _COLD
 
 
-def guessed_bounds(parameter: Variable) -> tuple[float, float]:
-    """Return the bounds of a free parameter: a factor of ten, or 30 K around an absolute temperature."""
+def guessed_bounds(parameter: Variable, within: float = _WITHIN) -> tuple[float, float]:
+    """Return the bounds of a free parameter: a factor `within`, or 30 K around an absolute temperature."""
     start = parameter.start or 0.0
     if is_temperature(parameter):
         width = _KELVINS / conversion(parameter.unit or "K", "K").factor
         low, high = start - width, start + width
     else:
-        low, high = (start / _WITHIN, start * _WITHIN) if start > 0 else (start * _WITHIN, -start * _WITHIN)
+        low, high = (start / within, start * within) if start > 0 else (start * within, -start * within)
     low = max(low, parameter.min if parameter.min is not None else low)
     high = min(high, parameter.max if parameter.max is not None else high)
     return low, high

@@ -42,6 +42,7 @@ _TIMINGS = {
     "linear": "inputs are linear between their samples",
     "held-read-after": "inputs are held between their samples, and outputs are read just after they act",
 }
+_NEAR, _FAR = 10.0, 300.0  # factors to the start value within which a parameter is searched
 _MAX_NAMES = 8  # fixed parameters named in one line
 
 
@@ -281,6 +282,9 @@ def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
         lines.append(f"read before the inputs act: {', '.join(timing.signals)}")
     lines += map(str, choice.lost)
     lines.append(f"free parameters: {', '.join(v.name for v in choice.free)}")
+    if choice.wide:
+        far = ", ".join(choice.wide)
+        lines.append(f"wide bounds, a factor of {_FAR:g}: {far} (runs fit best far from the start value)")
     for reason, variables in choice.held.items():
         names = _collapsed(variables)
         more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
@@ -359,7 +363,8 @@ def _toml(
         "# Parameters: start and bounds in the FMU's unit. Narrow the bounds to what you know.",
     ]
     for variable in choice.free:
-        lines += _parameter_lines(variable, choice.depends.get(variable.name, ()))
+        within = _FAR if variable.name in choice.wide else _NEAR
+        lines += _parameter_lines(variable, choice.depends.get(variable.name, ()), within)
     for reason in CERTAIN:
         for variable in choice.held.get(reason, ()):
             lines += [*_parameter_lines(variable)[:-1], f"free = false # {reason}", "known = true", ""]
@@ -397,8 +402,8 @@ def _signal_lines(mapping: Mapping[str, str], timings: Mapping[str, Timing]) -> 
     return lines
 
 
-def _parameter_lines(variable: Variable, depends: Sequence[str] = ()) -> list[str]:
-    low, high = guessed_bounds(variable)
+def _parameter_lines(variable: Variable, depends: Sequence[str] = (), within: float = _NEAR) -> list[str]:
+    low, high = guessed_bounds(variable, within)
     lines = [f"[parameters.{toml_text(variable.name)}]"]
     if variable.description:
         lines[0] += f" # {' '.join(variable.description.split())}"

@@ -21,6 +21,7 @@ from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 
 _STEP = 0.01  # relative change of a parameter for estimating its effect
 _LEAST_FACTOR = 0.1  # to the start value, for ranges that include 0
+_AT_BOUND = 0.02  # distance from a bound, in logarithms
 _CONVERGED = 1e-2  # relative change of the squared error that ends a refit
 
 
@@ -50,6 +51,12 @@ class SeenRun:
         self.nominal = simulated(runner, model, task, self._values)
         own = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
         self.scale = own if scale is None else scale
+
+    def at_bound(self, parameter: Variable) -> bool:
+        """Return whether a parameter has reached its guessed bounds, which are wide enough for most."""
+        ratio = self._value(parameter) / (parameter.start or 1.0)
+        low, high = _reach(parameter)
+        return not low + _AT_BOUND < np.log(max(ratio, 1e-300)) < high - _AT_BOUND
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -116,15 +116,14 @@ def chosen(conventions: Sequence[Convention]) -> Convention:
     return supported[0] if supported else next(c for c in conventions if c.timing == "held")
 
 
-def lost_rows(seen: Sequence[SeenRun], names: Sequence[str], free: Sequence[Variable]) -> tuple[LostRow, ...]:
+def lost_rows(fits: Sequence[SeenRun], names: Sequence[str]) -> tuple[LostRow, ...]:
     """Return the rows that logs seem to have lost: where outputs move by two rows of their prediction at once.
 
-    A log that counts rows instead of reading a clock is too early from there on. Outputs that follow the logged
-    inputs at once do not show it.
+    `fits` are refitted runs. A log that counts rows instead of reading a clock is too early from there on. Outputs
+    that follow the logged inputs at once do not show it.
     """
     found = []
-    for name, run in zip(names, seen, strict=True):
-        fitted = run.refitted(free)
+    for name, fitted in zip(names, fits, strict=True):
         stored = _stored(fitted)
         if not stored.any():
             continue
