@@ -163,6 +163,20 @@ def matrix_product(a: Array, b: Array) -> Value:
     return Array(shape, tuple(items)) if shape else items[0]
 
 
+def matrix_power(a: Array, exponent: Value) -> Value:
+    """Modelica's ``^`` of a square matrix and a whole number."""
+    if len(a.shape) != 2 or a.shape[0] != a.shape[1]:
+        raise ValueError(f"^ on {kind(a)}, which is no square matrix")
+    if not isinstance(exponent, int) or isinstance(exponent, bool) or exponent < 0:
+        raise ValueError("a matrix needs a whole exponent that is not negative and known at translation")
+    n = a.shape[0]
+    out: Value = Array((n, n), tuple(int(i == j) for i in range(n) for j in range(n)))
+    for _ in range(exponent):
+        assert isinstance(out, Array)
+        out = matrix_product(out, a)
+    return out
+
+
 def choose(condition: Scalar, then: Value, otherwise: Value) -> Value:
     """``if condition then .. else ..`` on whole values; an entry missing on one side is taken from the other."""
     if not isinstance(condition, SX):

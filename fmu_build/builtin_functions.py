@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import prod
 from typing import Protocol
 
 from fmu_build import algebra
@@ -110,15 +111,20 @@ def _skew(e: Operators, a: Value) -> Value:
 
 
 def cat(e: Operators, dimension: Value, *parts: Value) -> Value:
-    """Return ``cat(dimension, parts...)`` of vectors or matrices."""
+    """Return ``cat(dimension, parts...)`` of arrays."""
     arrays = [p for p in parts if isinstance(p, Array)]
     axis = whole(dimension) - 1
-    if len(arrays) != len(parts) or axis not in (0, 1):
-        raise ValueError("cat along this dimension is not supported")
-    if axis == 1:
-        return _transpose(e, cat(e, 1, *(_transpose(e, a) for a in arrays)))
-    rows = sum(a.shape[0] for a in arrays)
-    return Array((rows, *arrays[0].shape[1:]), tuple(i for a in arrays for i in a.items))
+    shapes = {(*a.shape[:axis], *a.shape[axis + 1 :]) for a in arrays}
+    if len(arrays) != len(parts) or len(shapes) > 1 or not all(0 <= axis < len(a.shape) for a in arrays):
+        raise ValueError(f"cat({axis + 1}, ...) of {' and '.join(map(algebra.kind, parts))}")
+    shape = list(arrays[0].shape)
+    shape[axis] = sum(a.shape[axis] for a in arrays)
+    items: list[Scalar] = []
+    for row in range(prod(shape[:axis])):
+        for a in arrays:
+            n = prod(a.shape[axis:])
+            items += a.items[row * n : (row + 1) * n]
+    return Array(tuple(shape), tuple(items))
 
 
 def _semi_linear(e: Operators, x: Value, positive: Value, negative: Value) -> Value:
@@ -181,7 +187,7 @@ SUPPORTED = frozenset(
     (*BUILTIN, *STEPS, *algebra.FUNCTIONS, "noEvent", "smooth", "homotopy", "size", "pre", "edge", "change")
 )
 UNSUPPORTED = frozenset(
-    ("delay", "spatialDistribution", "terminal", "cardinality", "inStream", "actualStream", "rooted", "previous",
+    ("delay", "spatialDistribution", "inStream", "actualStream", "rooted", "previous",
      "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",
      "loadResource")
 )  # fmt: skip

@@ -57,8 +57,10 @@ def _arithmetic(op: str, a: Value, b: Value) -> Value:
         return f"{a}{b}"
     if op == "*" and isinstance(a, Array) and isinstance(b, Array):
         return algebra.matrix_product(a, b)
+    if op == "^" and isinstance(a, Array):
+        return algebra.matrix_power(a, b)
     scalar = {"/": algebra.divide, "^": algebra.power, "*": lambda x, y: x * y} | _ELEMENTWISE
-    if (op == "/" and isinstance(b, Array)) or (op == "^" and isinstance(a, Array)) or op not in scalar:
+    if (op == "/" and isinstance(b, Array)) or (op == "^" and isinstance(b, Array)) or op not in scalar:
         raise ValueError(f"operator {op} on {algebra.kind(a)} and {algebra.kind(b)} is not supported")
     return algebra.elementwise(scalar[op], a, b)
 

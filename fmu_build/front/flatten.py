@@ -163,7 +163,7 @@ class _Flattener:
             structural=frozenset(self.resolver.structural),
             files=tuple(sorted(self.world.library.used)),
             libraries=tuple(self.world.library.versions().items()),
-            warnings=tuple(self.resolver.warnings),
+            warnings=(*self.world.library.warnings, *self.resolver.warnings),
         )
         type_check.check(flat)
         return flat

@@ -588,6 +588,8 @@ class World:
             If there is none.
         """
         found = self.lookup_class(scope, name, extends)
+        if found is None and name.name == "Clock":
+            raise ModelicaError("clocks are not supported", where=name.at, fix="use sample() in a when-equation")
         if found is None:
             where = scope.definition.path if scope is not None else ""
             raise ModelicaError(

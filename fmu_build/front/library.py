@@ -30,6 +30,7 @@ class Library:
 
     def __init__(self, file: Path, roots: Sequence[Path]) -> None:
         self.used: dict[Path, None] = {}
+        self.warnings: list[str] = []
         self.roots = [Path(r).resolve() for r in roots]
         self._standard = standard_folders()
         self._tops: dict[str, ClassDef | None] = {}
@@ -153,8 +154,9 @@ class Library:
         self.used[path] = None
         try:
             text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ModelicaError("the file is not UTF-8", where=path.name) from error
+        except UnicodeDecodeError:
+            text = path.read_text(encoding="latin-1")
+            self.warnings.append(f"{path.name}: not UTF-8, so it is read as Latin-1")
         return parse(text, path.name, whole=path == self.file)
 
     def _folder(self, folder: Path) -> ClassDef:

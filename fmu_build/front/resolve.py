@@ -787,7 +787,7 @@ class Resolver:
     def _expr_call(self, e: Call, scope: Instance, env: Env) -> Any:
         name = e.function
         parts = name.split(".")
-        if name in ("size", "ndims", "cardinality", "getInstanceName"):
+        if name in ("size", "ndims", "cardinality", "getInstanceName", "terminal"):
             special = self._special(e, scope, env)
             if special is not None:
                 return special
@@ -891,6 +891,9 @@ class Resolver:
             arguments = self._positional(e, NAMED.get(name, []), name, scope, env)
         else:
             arguments = self._all(e.arguments, scope, env)
+        first = arguments[0] if arguments else None
+        if name == "String" and isinstance(first, Literal) and first.name:
+            return Literal(e.at, first.name)
         return Call(e.at, name, arguments)
 
     def _special(self, e: Call, scope: Instance, env: Env) -> Any:
@@ -898,8 +901,16 @@ class Resolver:
             model = self.instances[""].definition.name if "" in self.instances else ""
             path = scope.root.path
             return Literal(e.at, f"{model}.{path}" if path else model)
+        if e.function == "terminal":
+            what = "terminal() is never true, because an FMU does not know where its simulation ends"
+            self.warnings.append(f"{e.at}: {what}")
+            return Literal(e.at, False)
         if e.function == "cardinality":
             return self._cardinality(e, scope, env)
+        return self._size_of(e, scope, env)
+
+    def _size_of(self, e: Call, scope: Instance, env: Env) -> Any:
+        """Size of a component; None if the evaluation is to determine it."""
         first = e.arguments[0] if e.arguments else None
         if not isinstance(first, Reference) or first.parts[0].name in env:
             return None

@@ -296,3 +296,18 @@ def test_operators_arrays_functions_and_modifiers():
     assert {name: instance.get(name, 0.0, NOTHING) for name in modified} == modified
     assert env[5][find(model, "bb").location.index] == 1
     assert env[5][find(model, "ii").location.index] == 3 + 2 + 2
+
+
+def test_latin_1_is_read_with_a_warning(tmp_path):
+    (tmp_path / "M.mo").write_bytes('model M "Gr\xf6\xdfe" Real x = time; end M;'.encode("latin-1"))
+    model = compile_modelica(tmp_path / "M.mo", "M")
+    assert model.description == "Gr\xf6\xdfe"
+    assert model.warnings == ("M.mo: not UTF-8, so it is read as Latin-1",)
+
+
+def test_terminal_is_reported(tmp_path):
+    (tmp_path / "M.mo").write_text(
+        "model M discrete Real x; equation when terminal() then x = 1; end when; end M;"
+    )
+    (warning,) = compile_modelica(tmp_path / "M.mo", "M").warnings
+    assert warning == "M.mo:1: terminal() is never true, because an FMU does not know where its simulation ends"

@@ -128,6 +128,19 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         },
     ),
     # specification 10: arrays
+    # specification 10.4.2, 10.6.7, 12.9.1, 9.4.1
+    "powers of matrices, cat of arrays, names of literals, terminal": (
+        """
+        type E = enumeration(one, two);
+        model M
+          parameter Real a[2, 2] = [1, 2; 3, 4]; Real b[2, 2] = a^3; Real c[2, 2] = a^0;
+          Real d[1, 2, 2] = cat(3, {{{1}, {2}}}, {{{3}, {4}}}); Real e[2, 2] = cat(1, a[1:1, :], a[2:2, :]);
+          Real s = if String(E.two) == "two" then 1 else 0; Real t = if terminal() then 1 else 0;
+        end M;
+        """,
+        {"b[1,1]": 37, "b[1,2]": 54, "b[2,1]": 81, "b[2,2]": 118, "c[1,1]": 1, "c[1,2]": 0, "d[1,1,2]": 3,
+         "d[1,2,1]": 2, "e[2,1]": 3, "s": 1, "t": 0},
+    ),
     "arrays": (
         """
         model El parameter Real k = 1; Real y = k; end El;
