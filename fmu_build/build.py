@@ -82,7 +82,7 @@ def build(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         what = f"cannot be a folder ({error.strerror or error})"
-        raise BuildError(what, where=out, fix="name a folder that can be written") from None
+        raise BuildError(what, where=out, fix="choose a folder that can be written") from None
     if compiler == "own":
         from fmu_build.compiler import compile_flat
         from fmu_build.front.flatten import load

@@ -120,7 +120,7 @@ def design_experiment(
         raise FmuidError(
             "there is no diagnosis to continue from",
             where="--for diagnosis",
-            fix="name the folder written by `fmuid diagnose`, as CAMPAIGN or with --from",
+            fix="give the folder written by `fmuid diagnose`, as CAMPAIGN or with --from",
         )
     made: ParameterDesign | DiagnosisDesign
     with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:

@@ -43,7 +43,7 @@ FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
-    "Slow noise and drift cannot be told from a slow effect: repeat the runs, or give each signal's sigma."
+    "Slow noise and drift cannot be separated from a slow effect: repeat the runs, or give each signal's sigma."
 )
 
 

@@ -374,7 +374,7 @@ def test_a_mistake_is_one_clear_line(name: str, folder: Path, monkeypatch: pytes
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        (None, "bench/campaign.toml: no such file; name a folder with a campaign.toml, or make one with: fmuid init"),
+        (None, "bench/campaign.toml: no such file; give a folder with a campaign.toml, or make one with: fmuid init"),
         (b"\xff\xfe", "bench/campaign.toml: is not UTF-8 text; save it as UTF-8"),
         (b"x = " + b"[" * 5000, "bench/campaign.toml: is nested too deeply; flatten it"),
         (b"x = 1e400\n", "bench/campaign.toml: unknown key 'x'; known: campaign, signals, models, parameters, settings, stages, roles, effects, limits, design, robot, published"),

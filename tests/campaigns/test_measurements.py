@@ -410,7 +410,7 @@ def test_a_folder_that_cannot_be_written(measurements: Measurements, tmp_path: P
     with pytest.raises(FmuidError) as error:
         write_measurements(measurements, tmp_path / "file" / "m.h5")
     assert str(error.value) == (
-        f"{tmp_path}/file/m.h5: cannot be written (File exists); name a folder that can be written"
+        f"{tmp_path}/file/m.h5: cannot be written (File exists); choose a folder that can be written"
     )
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 

@@ -79,7 +79,7 @@ def test_init_makes_a_campaign_that_runs(
     spread = np.std(campaign.measurements["pulse"].signals["position_lvdt"].values)
     assert score.rmse == pytest.approx(score.nrmse * spread)
     assert fmuid("init", "step.csv", "--fmu", oscillator, "--out", "drive")[2] == (
-        "fmuid: drive/campaign.toml: already exists; name another folder with --out\n"
+        "fmuid: drive/campaign.toml: already exists; choose another folder with --out\n"
     )
 
 

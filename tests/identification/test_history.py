@@ -282,7 +282,7 @@ def test_two_writers_the_second_is_told_who_the_first_is(tmp_path, msd):
     found = identify(msd(), solver="bobyqa", out=tmp_path, observer=observer)
     for said in observer.said:
         assert f"(process {os.getpid()} on " in said
-        assert "is writing to this folder; wait until it ends, or name another folder" in said
+        assert "is writing to this folder; wait until it ends, or choose another folder" in said
     assert Result.from_json(tmp_path) == found
     assert {p.name for p in tmp_path.iterdir()} == {"result.json", "history.h5", "run.py"}
 

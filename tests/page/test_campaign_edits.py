@@ -25,7 +25,7 @@ interpolation = "hold"
 start = 1.0 # kg
 lower = 0.5
 
-# Fixed at the FMU's start value; uncomment to identify it too.
+# Fixed at the FMU's start value; uncomment to identify it as well.
 
 # Fixed: redundant with the free parameters.
 

@@ -78,7 +78,7 @@ def test_a_verdict_is_said_as_an_engineer_would():
     diagnosis["verdict"]["rest"] = {"gap": 1.3, "where": "tau_sensor in load_25, speed -1 … 1"}
     assert sentences(diagnosis) == [
         "Mesh loss is missing at gear_friction (94 %).",
-        "With it, 0.93 of the gap is gone on runs that were not used (0.85 to 1.01).",
+        "With it, 0.93 of the gap is closed on held-out runs (0.85 to 1.01).",
         "What is left: 1.3 times the noise, most of it tau_sensor in load_25, speed -1 … 1.",
     ]
     found = {fact.label: fact for fact in facts(diagnosis | {"verdict": diagnosis["verdict"] | {"stable": False}})}

@@ -543,7 +543,7 @@ def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:
 def _file_of(path: Path) -> Path:
     file = path / FILE_NAME if path.is_dir() else path
     if file.is_file() and file.suffix != ".toml":
-        fix = "name a folder with a campaign.toml, or make one with: fmuid init"
+        fix = "give a folder with a campaign.toml, or make one with: fmuid init"
         raise CampaignError("is not a campaign", where=path, fix=fix)
     return file
 
@@ -676,7 +676,7 @@ def expand(
 ) -> tuple[str, ...]:
     """Return the experiments named by ids and globs, with their repeats, in the file's order.
 
-    Globs select from the experiment ids `among`; repeats are included if they are in `among` too.
+    Globs select from the experiment ids `among`; repeats are included if they are also in `among`.
 
     Raises
     ------

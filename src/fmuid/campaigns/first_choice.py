@@ -82,7 +82,7 @@ def first_choice(
 
     Parameters with independent effects on the outputs are free (QR with column pivoting of the relative
     sensitivities). Lengths and ratios come last: if one is redundant with parameters that only measurements can
-    show, it is fixed, because it is known from drawings. What `fmuid.campaigns.known_values` knows is fixed, too.
+    show, it is fixed, because it is known from drawings. Known values are also fixed.
     See `fmuid.campaigns.timing` for the timing of the signals.
 
     Parameters

@@ -104,7 +104,7 @@ def new_campaign(
     target = folder / FILE_NAME
     check_folder(folder)
     if target.exists():
-        raise CampaignError("already exists", where=target, fix="name another folder with --out")
+        raise CampaignError("already exists", where=target, fix="choose another folder with --out")
     model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
     notes: list[tuple[str, str]] = []
@@ -255,7 +255,7 @@ def _unused(table: Table, matched: Mapping[str, str]) -> dict[str, Signal]:
 
 
 def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
-    """Return the same FMU on fmuid's solver, if it can be simulated that way too."""
+    """Return the same FMU on fmuid's solver, if it can also be simulated that way."""
     if isinstance(model, CoupledModel) or model.interface == "model exchange":
         return None
     try:
@@ -370,7 +370,7 @@ def _toml(
             lines += [*_parameter_lines(variable)[:-1], f"free = false # {reason}", "known = true", ""]
     doubtful = {reason: variables for reason, variables in choice.held.items() if reason not in CERTAIN}
     if doubtful:
-        lines += ["# Fixed at the FMU's start value; uncomment to identify it too.", ""]
+        lines += ["# Fixed at the FMU's start value; uncomment to identify it as well.", ""]
     for reason, variables in doubtful.items():
         lines += [f"# Fixed: {reason}.", ""]
         for variable in variables:

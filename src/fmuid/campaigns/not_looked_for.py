@@ -42,7 +42,7 @@ class NotLookedFor:
 
 
 def not_looked_for(campaign: Campaign, load: Callable[[ModelSpec], Simulator]) -> tuple[NotLookedFor, ...]:
-    """Return what a diagnosis of a campaign does not look for.
+    """Return the data of a campaign that a diagnosis does not examine.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         what = f"is not a usable folder ({error.strerror or error})"
-        raise FmuidError(what, where=folder, fix="name a folder that can be written") from None
+        raise FmuidError(what, where=folder, fix="choose a folder that can be written") from None
 
 
 def check_folder(folder: Path) -> None:
@@ -60,7 +60,7 @@ def check_folder(folder: Path) -> None:
     if nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK):
         return
     reason = "no permission" if nearest.is_dir() else f"'{nearest}' is a file"
-    raise FmuidError(f"is not a usable folder ({reason})", where=folder, fix="name a folder that can be written")
+    raise FmuidError(f"is not a usable folder ({reason})", where=folder, fix="choose a folder that can be written")
 
 
 def remove_unfinished(folder: Path, *, but_below: str) -> None:
@@ -102,7 +102,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         raise FmuidError(
             f"cannot be written ({error.strerror or error})",
             where=path,
-            fix="name a folder that can be written",
+            fix="choose a folder that can be written",
         ) from None
     finally:
         if temporary is not None:

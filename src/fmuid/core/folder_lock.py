@@ -69,7 +69,7 @@ def _locked(folder: Path) -> int:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         except OSError as error:
             what = f"cannot be written ({error.strerror})"
-            raise FmuidError(what, where=folder, fix="name a folder that can be written") from None
+            raise FmuidError(what, where=folder, fix="choose a folder that can be written") from None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(descriptor), path.stat()):
@@ -78,7 +78,7 @@ def _locked(folder: Path) -> int:
             holder = os.pread(descriptor, 500, 0).decode(errors="replace").strip()
             os.close(descriptor)
             what = f"{holder or 'another process'} is writing to this folder"
-            raise LockedError(what, where=folder, fix="wait until it ends, or name another folder") from None
+            raise LockedError(what, where=folder, fix="wait until it ends, or choose another folder") from None
         except FileNotFoundError:
             pass  # its holder has just removed it
         except OSError:  # a file system without locks

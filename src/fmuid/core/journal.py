@@ -119,7 +119,7 @@ def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
     """
     with path.open("rb") as file:
         if file.read(len(magic)) != magic:
-            fix = "remove it to start over, or name another folder"
+            fix = "remove it to start over, or choose another folder"
             raise JournalError("is not a journal of this version of fmuid", where=path, fix=fix)
         begin = file.tell()
         while len(head := file.read(_HEAD.size)) == _HEAD.size:

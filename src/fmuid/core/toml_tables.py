@@ -31,7 +31,7 @@ def read_toml(file: Path) -> dict[str, Any]:
     except FileNotFoundError:
         campaign = "campaign" in file.name or not file.suffix
         fix = (
-            "name a folder with a campaign.toml, or make one with: fmuid init" if campaign else "correct its path"
+            "give a folder with a campaign.toml, or make one with: fmuid init" if campaign else "correct its path"
         )
         raise CampaignError("no such file", where=file, fix=fix) from None
     except UnicodeDecodeError:

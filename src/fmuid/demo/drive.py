@@ -76,7 +76,7 @@ def make_rig(folder: Path) -> Rig:
         The folder is there already.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise FmuidError("already exists", where=folder, fix="remove it, or name another folder with --out")
+        raise FmuidError("already exists", where=folder, fix="remove it, or choose another folder with --out")
     make_folder(folder)
     if _can_build():
         file, lacking = folder / "Bench.mo", Lacking(drag=3e-4)

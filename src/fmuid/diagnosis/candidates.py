@@ -237,7 +237,7 @@ def _if_better(
 
 
 def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitted:
-    """Return a better fit of the same `effects`, if one nominal parameter has gone astray; otherwise `fitted`.
+    """Return a better fit of the same `effects`, if a nominal parameter is in a local minimum; otherwise `fitted`.
 
     A refit that began far from its end may be in a local minimum. Each nominal parameter is set back to its start
     in turn; where a step of the others from there promises less, the refit is repeated.

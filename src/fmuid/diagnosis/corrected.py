@@ -266,7 +266,7 @@ class _Document:
         return new | ({"map": renamed} if renamed else {})
 
     def _source(self, source: ModelSource) -> dict[str, Any]:
-        """Return what a model's table says of its Modelica source."""
+        """Return the entries of a model's table about its Modelica source."""
         said: dict[str, Any] = {"source": self._path(source.file), "class": source.class_name}
         if source.effects is not None:
             said["effects"] = self._path(source.effects)

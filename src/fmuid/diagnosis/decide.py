@@ -60,7 +60,7 @@ def log_evidence(nominal: Fitted, fitted: Fitted) -> float:
 
 
 def _price(fitted: Fitted) -> float:
-    """Return what the parameters of a model cost it in evidence."""
+    """Return the penalty of a model's parameters in its evidence."""
     return 0.5 * len(fitted.fit.unknowns) * float(np.log(fitted.held_out.size.sum()))
 
 
@@ -274,7 +274,7 @@ def weigh(
     Weights decrease with the odds against the best answer. The weight of `UNKNOWN` is the part that the closure
     leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
     insufficient, the odds against `NONE` grow with the gap: they are half of it, in floors, for `UNKNOWN`, and a
-    sixth for effects, as found in single runs of rigs that are no actuator. If no gap was `seen`, there may still
+    sixth for effects, as found in single runs of rigs other than actuators. If no gap was `seen`, there may still
     be one of a floor.
     """
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0

@@ -340,12 +340,12 @@ def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:
         if closure(nominal.held_out, best.held_out) < enough <= decide.closed_by(nominal, best):
             yield (
                 "Part of what is missing shows in one experiment only, which the others therefore do not predict: "
-                "the closure on runs that were not used is a lower limit. Another run of its kind would settle it."
+                "the closure on held-out runs is a lower limit. Another run of its kind would settle it."
             )
 
 
 def _said_once(classes: Sequence[Sequence[Fitted]], named: Sequence[Fitted]) -> Iterator[str]:
-    """Yield a note for each answer that other laws at its places cannot be told from."""
+    """Yield a note for each answer that other laws at its places are indistinguishable from."""
     for answer, *others in classes:
         if others and any(answer is one for one in named):
             same = " or ".join(dict.fromkeys(" and ".join(o.names) for o in others))
@@ -407,7 +407,7 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
     if not sure:
         say("where it enters", 0.7)
         entered = where_it_enters(subject, nominal)
-        # Each run has a course of its own, so machines that differ would pass for something unknown.
+        # Each run has a course of its own, so machines that differ would be mistaken for something unknown.
         alike = len({case.machine for case in subject.model.cases}) == 1
         imitated = alike and not done and best is not None and likelier(entered, nominal, best)
         if best is not None and named_at_all and not (imitated or done):
@@ -440,7 +440,7 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
 def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], bool]:
     """Return the answers that the data leave open, and whether they are plausible.
 
-    An effect at implausible bounds does not hide a plausible one beside it.
+    An effect at implausible bounds does not hide a plausible one next to it.
     """
 
     def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
@@ -457,7 +457,7 @@ def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], 
 
 
 def _decoys(subject: Subject, found: _Searched, port: str) -> tuple[Decoy, ...]:
-    """Return free functions of the model's variables at a port, fitted beside the nominal parameters."""
+    """Return free functions of the model's variables at a port, fitted together with the nominal parameters."""
     regimes, fit = subject.catalogue.regimes, found.nominal.fit
     families = {**bases(found.paths, regimes), **own_bases(found.paths, regimes, port)}
     at = subject.catalogue.ports.get(port)
@@ -474,12 +474,12 @@ class _Part:
 
 
 def where_it_enters(subject: Subject, fitted: Fitted) -> dict[str, Entry]:
-    """Return what a course over time at each port explains of what a model leaves."""
+    """Return the part of a model's residual that a course over time at each port explains."""
     return entries(subject.model, subject.observed, fitted.fit, tuple(subject.catalogue.ports.values()))
 
 
 def _sure_part(subject: Subject, nominal: Fitted, best: Fitted, *, alike: bool) -> _Part | None:
-    """Return what of `best` is sure although it leaves a rest; None if nothing is.
+    """Return the sure part of `best` although it leaves a rest; None if there is none.
 
     Only its predictions of other experiments speak for it. If they are poor, its effects that act where the rest
     enters need not be there: a single law that the catalogue does not have, at this place, may do what they do and

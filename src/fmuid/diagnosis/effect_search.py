@@ -33,8 +33,8 @@ _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
 _EARLY_BESIDE = 2  # the same of further effects
 _SHARE = 0.05  # least score for a refit, as a share of the best score
-_LED_OUT = 2  # of the effects refitted in the same company, beside the early ones
-_PAIRS = 4  # further effects tried beside the best
+_LED_OUT = 2  # of the effects refitted together with the same effects, in addition to the early ones
+_PAIRS = 4  # further effects tried in addition to the best
 _ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
 _SCORED = 8  # effects that are scored again when another is added
 _CLOSE = 0.5  # least score for being tried in place of another effect, as a share of the best score
@@ -248,7 +248,7 @@ def _added(
 ) -> list[Fitted]:
     """Refit `fitted` with each scored effect; return the models that fit better than it does.
 
-    Those that fit best are led out of local minima, and so are `early` effects, which may be far from their best.
+    The best fits, and `early` effects, which may be far from their best, escape from local minima.
     """
     found: list[tuple[Fitted, Score]] = []
     for k, score in enumerate(scores):
@@ -278,7 +278,7 @@ def _exchanged(
     The first effect was chosen while the others were missing, and may have stood in for them. What was refitted is
     added to the `candidates`: sets that fit equally well are open answers.
     """
-    explored = {frozenset(best.effects[:-1])}  # others were tried beside these
+    explored = {frozenset(best.effects[:-1])}  # others were tried in addition to these
     while best.effects == best.names:
         around = {frozenset(best.effects) - {name}: name for name in best.names}
         fresh = [(rest, name) for rest, name in around.items() if rest not in explored]

@@ -90,7 +90,7 @@ def _beaten(evidence: float, best: Entry) -> bool:
 
 
 def entries(model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port]) -> dict[str, Entry]:
-    """Return what a course over time explains of the residuals of `base`, at every port that can be simulated."""
+    """Return the part of the residuals of `base` that a course over time explains, at every simulated port."""
     coarse, fine = (np.linspace(0.0, 1.0, knots) for knots in _KNOTS)
     found = with_knots(model, observed, base, ports, coarse)
     if any(e.explained >= _ENOUGH for e in found.values()):
@@ -107,7 +107,7 @@ def with_knots(
     *,
     among: FloatArray | None = None,
 ) -> dict[str, Entry]:
-    """Return what a course with knots `at` shares of a run explains at every port that can be simulated.
+    """Return the explanation by a course with knots `at` shares of a run, at every simulated port.
 
     If responses to a course with only the knots `among` these are known, they are used again: with those to the
     other knots, they span the same responses (hierarchical basis).

@@ -195,7 +195,7 @@ class _Seen:
 
 
 def _seen_at(port: Port, course: Mapping[str, FloatArray], t: FloatArray) -> _Seen | None:
-    """Return what is seen at a port in a run; None if the model has none of its variables there."""
+    """Return the variables of a port in a run; None if the model has none of them there."""
     if port.shares:
         here, size = courses_at(port, course, t), largest_flow(port, course, t)
         if port.kind == "loop" and (through := here.get("through")) is not None:
@@ -320,7 +320,7 @@ def _sources(campaign: Campaign) -> dict[str, _Setup]:
 
 
 def _spec(campaign: Campaign) -> EffectsSpec:
-    """Return what is diagnosed: the campaign's own choice, or all free parameters and runs."""
+    """Return the subject of the diagnosis: the campaign's own choice, or all free parameters and runs."""
     if campaign.effects is not None:
         return campaign.effects
     free = tuple(p.name for p in campaign.parameters.values() if p.free)

@@ -277,7 +277,7 @@ def with_sensors(case: Case, sensors: Sequence[Sensor]) -> Case:
 
 
 def _in_sigmas(subject: Subject, prediction: Prediction, sensor: Sensor, new: Sequence[bool]) -> FloatArray:
-    """Return what all runs read, in standard deviations of their noise; the added sensor's rows come last."""
+    """Return the readings of all runs, in standard deviations of their noise; those of the added sensor last."""
     observed = subject.observed
     known = observed.whiten([p[:-1] if n else p for p, n in zip(prediction, new, strict=True)])
     read = [

@@ -45,7 +45,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoy:
-    """A free function at a port, fitted beside a model's parameters.
+    """A free function at a port, fitted together with a model's parameters.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ def _of_signals(model: CampaignModel, base: Refit, port: Port) -> dict[str, Basi
 
 
 def fit_decoys(responses: Sequence[Response], base: Refit, observed: Observed) -> tuple[Decoy, ...]:
-    """Fit every family of functions, linearly, beside the parameters of `base`."""
+    """Fit every family of functions, linearly, together with the parameters of `base`."""
     return tuple(_fit(response, base, observed) for response in responses)
 
 

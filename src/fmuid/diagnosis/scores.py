@@ -151,7 +151,7 @@ def without_aliases(
     Two effects are the same if the data would prefer one to the other by less than a standard deviation: the sine
     of the angle between their signatures, times what the better-scored of them explains (at least `SEEN` standard
     deviations). Trials differ in size, and laws are seldom linear, so effects that are nearly alike are compared
-    once more at sizes that move the predictions equally. Among equals, the more usual effect remains, then the one
+    again at sizes that move the predictions equally. Among equals, the more usual effect remains, then the one
     with fewer parameters, then a deviating parameter value, then the first.
     """
     by_id = {s.effect: s for s in scores}

@@ -174,7 +174,7 @@ def solved_well_enough(
 
 
 def tightened(subject: Subject, points: Sequence[Mapping[str, float]]) -> Subject:
-    """Return the subject with tolerances tight enough at these points, too; `subject` itself if its own are.
+    """Return the subject with tolerances that are tight enough at these points as well; `subject` if its own are.
 
     An effect may need a tighter one than the plain model, which is solved anew at every jump of an input: then
     only points that name its parameters get it. A point that cannot be predicted whatever the tolerance is left

@@ -37,7 +37,7 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
 
 
 def indistinct(diagnosis: Mapping[str, Any]) -> list[str]:
-    """Return a line for each reason why effects would not be told apart, or not be seen."""
+    """Return a line for each reason why effects would not be separated, or not be seen."""
     alike = [_some(names, " or ") for names in diagnosis["alias_classes"] if len(names) > 1]
     hidden = diagnosis.get("hidden") or {}
     found = {
@@ -131,7 +131,7 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
         if verdict["kind"] == "ambiguous":
             with_what = f"With {_listed(best['effects'], 'and')}"
         lines.append(
-            f"{with_what}, {closure['held_out']:.2f} of the gap is gone on runs that were not used"
+            f"{with_what}, {closure['held_out']:.2f} of the gap is closed on held-out runs"
             f" ({low:.2f} to {high:.2f})."
         )
     if verdict.get("rest"):
@@ -143,7 +143,7 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
         low, high = law["closure"]["interval"]
         lines.append(
             f"A law found at {law['port']}{_beside(law)} explains it: a flow of {law['formula']}. With it,"
-            f" {law['closure']['held_out']:.2f} of the gap is gone on runs that were not used"
+            f" {law['closure']['held_out']:.2f} of the gap is closed on held-out runs"
             f" ({low:.2f} to {high:.2f})."
         )
     return lines
@@ -189,7 +189,7 @@ def _gap_text(gap: Mapping[str, Any]) -> str:
 
 
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
-    """Return what to record when the data cannot decide: see `powerless` in `diagnose_subject`."""
+    """Return the runs to record if the data cannot decide: see `powerless` in `diagnose_subject`."""
     if diagnosis["gap"]["present"] and not diagnosis["gap"]["calibrated"]:
         return (
             "repeat a run as it is, and record one with a different input; what is left may be slow noise,"
@@ -221,7 +221,7 @@ def _beside(law: Mapping[str, Any]) -> str:
 
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
-    """Return what comes closest to an explanation when none is named."""
+    """Return the closest explanation if none is named."""
     sets = [*diagnosis["answers"], *({**e, "effects": [e["id"]]} for e in diagnosis["effects"])]
     judged = [a for a in sets if a.get("closure")]
     found = []
@@ -245,7 +245,7 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     sure = f" ({100 * probability(diagnosis):.0f} %)"
     are = "is" if len(effects) == 1 else "are"
     missing = f"{_listed(effects, 'and')} {are} missing" if effects else ""
-    # Ids of made catalogues already name the port.
+    # Ids of generated catalogues already contain the port.
     at = f" at {', '.join(ports)}" if len(ports) == 1 and not any("@" in n for n in named(verdict)) else ""
     match verdict["kind"]:
         case "complete":

@@ -87,14 +87,14 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise FmuidError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
     except ValueError:
-        raise FmuidError("is not JSON", where=path, fix="name a file that fmuid diagnose wrote") from None
+        raise FmuidError("is not JSON", where=path, fix="give a file written by fmuid diagnose") from None
     if (
         not isinstance(answer, dict)
         or answer.get("format") != "fmuid-diagnosis"
         or answer.get("version") not in (1, 2)
     ):
         raise FmuidError(
-            "is not a diagnosis, version 1 or 2", where=path, fix="name a file that fmuid diagnose wrote"
+            "is not a diagnosis, version 1 or 2", where=path, fix="give a file written by fmuid diagnose"
         )
     verdict = answer.get("verdict")
     if not isinstance(verdict, dict) or not {"kind", "effects"} <= verdict.keys():

@@ -152,7 +152,7 @@ def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[s
 
 
 def _why_not(effect: Effect, models: Iterable[FlatModel]) -> str:
-    """Return what is said when flat models are compiled with an effect alone."""
+    """Return the messages of compiling flat models with an effect alone."""
     for flat in models:
         try:
             compile_flat(instrument(flat, effect.terms, effect.added(flat.variables)))

@@ -244,7 +244,7 @@ def _measured(subject: Subject) -> dict[str, str]:
 
 
 def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], name: str) -> list[Source]:
-    """Return what a coefficient may depend on; of several that are the same, only the first."""
+    """Return the quantities that a coefficient may depend on; of several that are the same, only the first."""
     cases = [(subject.model.cases[k], c) for s in having for k, c in zip(s.index, s.courses, strict=True)]
     found: list[Source] = []
     known: list[FloatArray] = []

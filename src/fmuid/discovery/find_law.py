@@ -101,7 +101,7 @@ def find_law(
     if named and not found.entered:  # the verdict did not need it
         found = replace(found, entered=where_it_enters(subject, named[0]))
     reasons = []
-    for base in (found.nominal, *named):  # in place of the effects that explain a part, then beside them
+    for base in (found.nominal, *named):  # instead of the effects that explain a part, then in addition to them
         search = _Search(found, base, models, load, flats, noise, seed)
         try:
             best, reason = search.best(say)
@@ -326,7 +326,7 @@ class _Search:
         return fitted is None or decide.log_odds(law.fitted, fitted, subject.observed) >= np.log(decide.OPEN)
 
     def pruned(self, law: Candidate) -> Candidate:
-        """Leave out the effects beside a law that it has made unnecessary."""
+        """Leave out the effects that a law has made unnecessary."""
         fitted = law.fitted
         for name in law.fitted.effects[:-1]:
             simpler = without(law.subject, fitted, name)

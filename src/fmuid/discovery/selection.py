@@ -87,7 +87,7 @@ def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pair
 
 
 def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
-    """Return single terms that come near a flow at a place, the nearest of each family, beside its linear terms.
+    """Return single terms that come near a flow at a place, the nearest of each family, and its linear terms.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ def _known_port(port: str, ports: Mapping[str, Port], where: str) -> None:
 
 
 def _refuse_shared(effects: Mapping[str, Effect], path: Path) -> None:
-    """Refuse a parameter shared by two effects: fitted together, they could not be told apart."""
+    """Refuse a parameter shared by two effects: fitted together, they could not be separated."""
     owner: dict[str, str] = {}
     for effect in effects.values():
         for u in effect.unknowns:

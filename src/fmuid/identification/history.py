@@ -182,7 +182,7 @@ class History:
                 raise HistoryError(
                     f"the campaign has changed since stage '{problem.name}' was recorded",
                     where=self.folder,
-                    fix="undo the change, or name another folder",
+                    fix="undo the change, or choose another folder",
                 )
             return old
         values, _ = problem.space.tried(problem.space.start)

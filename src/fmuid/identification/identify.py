@@ -301,7 +301,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
 
 
 def _findings(run: _Run, asked: _Posed, known: Known, search: Search) -> Findings:
-    """Return the analyses of the stage's estimate; the runs for them are recorded too."""
+    """Return the analyses of the stage's estimate; the runs for them are also recorded."""
     problem = asked.problem
     found = analyse(
         search,

@@ -270,7 +270,7 @@ class Result:
                     return recorded
             return _decoded(file.read_bytes(), file.parent)
         except OSError:
-            raise ResultError("no such file", where=file, fix="name a folder written by fmuid identify") from None
+            raise ResultError("no such file", where=file, fix="give a folder written by fmuid identify") from None
         except (msgspec.DecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
             raise ResultError(f"is not a result ({error})", where=file, fix="identify again") from None
 

@@ -42,7 +42,7 @@ class Branches:
     def begin(self, prepared: PreparedTask, outputs: FloatArray) -> _Key | None:
         """Let the next run of a plan go on from the latest state that fits, and leave one for later runs.
 
-        Return what `end` needs; None if the run shares nothing.
+        Return the arguments of `end`; None if the run shares nothing.
         """
         plan, task = prepared.plan, prepared.task
         if task.shared is None:

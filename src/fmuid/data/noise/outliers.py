@@ -81,7 +81,7 @@ def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
 
 
 def _spikes_or_all(run: FloatArray, others: FloatArray, step: float) -> Mask:
-    """Return spikes; if two runs differ in a sample, either may have the spike: the one it sticks out of, too."""
+    """Return spikes; if two runs differ in a sample, either may have the spike: also the one it sticks out of."""
     return _spikes(run, step, factor=0.5 * _SPIKE) if len(others) == 1 else np.ones(len(run), dtype=bool)
 
 

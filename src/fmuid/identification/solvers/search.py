@@ -81,7 +81,7 @@ class Link:
 Record = Callable[[Evaluation, str, bool], None]
 """Called with every evaluation, its purpose, and whether it is the best so far."""
 Recall = Callable[[FloatArray, bool], Evaluation | None]
-"""Returns an evaluation of an earlier, interrupted run; the flag requests residuals too."""
+"""Returns an evaluation of an earlier, interrupted run; the flag also requests residuals."""
 
 
 class Wish(NamedTuple):

@@ -115,7 +115,7 @@ class WorkerPool(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Stop the workers; see `concurrent.futures.Executor.shutdown`.
 
-        With `cancel_futures`, running evaluations are abandoned too.
+        With `cancel_futures`, running evaluations are also abandoned.
         """
         self._supervisor.shutdown(wait, abandon=cancel_futures)
 
