@@ -24,7 +24,7 @@ STEP, SAMPLES, RUNS = 20.0, 240, 4
 
 
 def logs(folder, conductance, seed=1):
-    """CSV files of a room whose conductance is a function of its temperature and of the wind."""
+    """CSV files of a room whose conductance is a function of its temperature, of the wind and of time."""
     rng = np.random.default_rng(seed)
     paths = {}
     for run in range(RUNS):
@@ -37,7 +37,8 @@ def logs(folder, conductance, seed=1):
         for k in range(SAMPLES):
             temperature[k] = value
             for _ in range(10):
-                value += STEP / 10 * (power[k] - conductance(value, wind[k]) * (value - outdoors[k])) / 2e4
+                own = conductance(value, wind[k], time[k])
+                value += STEP / 10 * (power[k] - own * (value - outdoors[k])) / 2e4
         seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
         rows = np.column_stack([time, power, outdoors, wind, seen])
         file = folder / f"day_{run}.csv"
@@ -53,7 +54,9 @@ def campaign(tmp_path, conductance):
 
 
 def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path):
-    found = fmuid.diagnose(campaign(tmp_path, lambda t, wind: 20.0 * (1.0 + 0.05 * wind)), out=tmp_path / "out")
+    found = fmuid.diagnose(
+        campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.05 * wind)), out=tmp_path / "out"
+    )
     assert found.corrected.names == ("varies@G(wind)",)
     size = found.corrected.fit.values["G.varies.wind"]
     assert size == pytest.approx(0.05, rel=0.1)
@@ -65,12 +68,23 @@ def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path)
 
 
 def test_a_complete_model_has_no_coefficient_that_varies(tmp_path):
-    text = made_catalogue(campaign(tmp_path, lambda t, wind: 21.0), load_simulator)
+    text = made_catalogue(campaign(tmp_path, lambda value, wind, time: 21.0), load_simulator)
     assert "value@" in text or "effects" in text
     assert "varies" not in text
 
 
 def test_a_coefficient_that_depends_on_the_temperature_of_its_component(tmp_path):
-    text = made_catalogue(campaign(tmp_path, lambda t, wind: 20.0 * (1.0 + 0.03 * (t - 293.0))), load_simulator)
+    text = made_catalogue(
+        campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.03 * (value - 293.0))), load_simulator
+    )
     first = text[text.index("varies@") :]
     assert first.startswith("varies@G(T)")
+
+
+def test_a_shape_that_another_size_would_change_is_judged_at_the_size_that_fits(tmp_path):
+    def fouled(_value, _wind, time):
+        return 21.0 / (1.0 + 0.15 * (1.0 - np.exp(-time / 1500.0)))
+
+    text = made_catalogue(campaign(tmp_path, fouled), load_simulator)
+    assert text[text.index("varies@") :].startswith("varies@G(time)")
+    assert "exp(-abs(time - 0)/G.varies.time_width)" in text

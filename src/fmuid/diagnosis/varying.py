@@ -41,6 +41,7 @@ _SHARE = 0.25  # least score, as a share of the best one
 _ALIKE = 1e-4  # courses whose correlation is within this of 1 are the same
 _MOVES = 1e-3  # relative to its size: what moves less counts as constant
 _FEW = 8  # states: in a model with more, only those near a component may change it
+_ABOUT_ONE = (0.7, 1.4)  # factors by which the size of a law may change that is not linear in it
 _SIMPLER = 0.03  # share of the score that a later law of the library has to gain over an earlier one
 _MARGIN = 1.2  # over the largest score that noise alone reaches
 
@@ -339,6 +340,9 @@ def _of(
             continue
         amount = -float(signature @ residual) / length
         drop = amount**2 if amount > 0.0 or law.two_sided else 0.0
+        if not _linear(law):  # another size is another shape
+            fitting = float(np.clip(amount / length, *_ABOUT_ONE))
+            drop = float(length) ** 2 * fitting * (2.0 * amount / float(length) - fitting)
         if law_name not in best or drop > best[law_name].drop:
             best[law_name] = Scored(having[0].coefficients[name], source, law_name, drop, signature / length)
     yield from best.values()
