@@ -39,8 +39,6 @@ NOT_YET: tuple[str, ...] = (
     "docs/blind_abroad.md",
     "docs/blind_abroad_notes.md",
     "docs/blind_notes.md",
-    "docs/laws.md",
-    "docs/modelica.md",
 )
 HABITS = {
     r"\breturns? (what|who|whether what)\b": "name the value: 'Return the residuals'",

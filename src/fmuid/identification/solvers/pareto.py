@@ -198,7 +198,7 @@ def _fill(
     distances: Goals,
     solve: Callable[[Evaluation, Goals, Goals], Evaluation],
 ) -> None:
-    """Add points in the widest gaps of a front of two objectives, where rays end at the same or dominated points."""
+    """Add points in the widest gaps of a front of two objectives, where rays end at equal or dominated points."""
     tried: set[tuple[float, float]] = set()
     for _ in range(points):
         front = _undominated(found, objectives)
