@@ -5,10 +5,8 @@ VENV ?= .venv
 MSL ?= ../ModelicaStandardLibrary
 SEALED ?= ../shared/data/sealed
 SEALED_ABROAD ?= ../shared/data/sealed_abroad
-# The blind check: number of cases in the grid, and a folder outside this one for what the diagnosis must not see.
-COUNT ?= 200
+# The blind check: a folder outside this one for what the diagnosis must not see.
 LABELS ?= ../blind-labels
-LABELS_ABROAD ?= ../blind-labels-abroad
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEVELOPER := $(VENV)/.developer
@@ -29,7 +27,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind designed-experiments blind-abroad rehearse-abroad discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs release clean
+.PHONY: all setup fmus coupled test test-all test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-experiments discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs release clean
 all: identify
 
 setup: $(READY)
@@ -80,30 +78,33 @@ sealed: | $(READY)
 sealed-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.sealed $(SEALED_ABROAD) --abroad --out sealed --page docs/sealed.md
 
-# Continues where it was interrupted. FIRST=20: the first twenty cases of the grid. SEED=5: this seed instead of a drawn one.
+# Random rigs, drawn from SEED and diagnosed: 100 cases of a rehearsal, 400 of the check. Continues where it was interrupted.
+# FIRST=100 COUNT=400: the check alone; WORKERS=2: cases in parallel. LABELS: a folder outside this one.
 blind: | $(READY)
-	$(BIN)/python -m benchmarks.blind.blind_check --labels $(LABELS) --count $(COUNT) \
-	  $(FIRST:%=--first %) $(SEED:%=--seed %) --page docs/blind.md --notes docs/blind_notes.md \
-	  --command "make blind COUNT=$(COUNT)$(FIRST:%= FIRST=%)$(SEED:%= SEED=%)"
+	@test -n "$(SEED)" || { echo "SEED=...: an integer that was not used before"; exit 2; }
+	$(BIN)/python -m benchmarks.blind run $(SEED) --labels $(LABELS) $(FIRST:%=--first %) $(COUNT:%=--count %) \
+	  $(WORKERS:%=--workers %)
 
-# The same on eight rigs other than actuators, whose labels were read in earlier grids. Continues where it was interrupted. CASES=100: the first 100 of the
-# grid, a fair sample of it; WORKERS=2: cases in parallel. LABELS_ABROAD must be empty for a new grid.
-blind-abroad: | $(READY)
-	$(BIN)/python -m benchmarks.abroad.blind --labels $(LABELS_ABROAD) --page docs/blind_abroad.md \
-	  --notes docs/blind_abroad_notes.md $(CASES:%=--cases %) $(WORKERS:%=--workers %) \
-	  --command "make blind-abroad$(CASES:%= CASES=%)"
+# Afterwards: commit what is published of the seed, and the page.
+blind-publish: | $(READY)
+	$(BIN)/python -m benchmarks.blind publish $(SEED) --labels $(LABELS)
+	$(BIN)/python -m benchmarks.blind page
 
-# The same on the rigs that rules are found on, with any seed: before a rule is frozen.
-rehearse-abroad: | $(READY)
-	$(BIN)/python -m benchmarks.abroad.blind --rehearse --labels $(LABELS_ABROAD)-rehearsal \
-	  --out runs/rehearsal_abroad $(CASES:%=--cases %) $(WORKERS:%=--workers %) --command "make rehearse-abroad"
+# Recompute docs/blind.md from what is committed, and the logs of REGENERATE cases of each seed from the seed.
+REGENERATE ?= 5
+blind-verify: | $(READY)
+	$(BIN)/python -m benchmarks.blind verify --regenerate $(REGENERATE)
+
+# Do 50 random plants and their models agree? Before any diagnosis.
+blind-agreement: | $(READY)
+	$(BIN)/python -m benchmarks.blind.agreement $(or $(SEED),1)
 
 # Plants with laws that no catalogue has, 60, and 20 that no equation expresses: is the law found? Continues where it was
 # interrupted; an hour or two on two quiet cores. FIRST=20: the first twenty, and seven of the others.
 discovery: | $(READY)
 	$(BIN)/python -m benchmarks.discovery --out build/discovery $(FIRST:%=--first %)
 
-# Whether designed runs settle what they claim to, on rigs abroad and on the actuator: about two hours. Continues
+# Whether designed runs settle what they claim to, on four rigs and on the actuator: about two hours. Continues
 # where it was interrupted.
 designed-experiments: $(DEVELOPER) $(FMUS)
 	$(BIN)/python -m benchmarks.designed_actuator

@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.abroad.case import diagnose
-from benchmarks.abroad.gap import SizedPlant
-from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
-from benchmarks.abroad.plant import Floats, Rig
-from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
+from benchmarks.rigs.case import diagnose
+from benchmarks.rigs.gap import SizedPlant
+from benchmarks.rigs.logs import Recording, drawn_factors, write_logs
+from benchmarks.rigs.plant import Floats, Rig
+from benchmarks.rigs.rehearsal_rigs import REHEARSED_ON
 from fmuid.cli.app import run
 
 _WEAK = 0.3  # of the rig's own inputs, in the runs that are diagnosed first

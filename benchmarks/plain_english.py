@@ -16,29 +16,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = ("*.md", "docs/**/*.md", "src/**/*.py", "fmu_build/**/*.py", "benchmarks/**/*.py", "campaigns/**/*.py")
 NOT_YET: tuple[str, ...] = (
-    "benchmarks/blind/score.py",
-    "benchmarks/blind/plants/readings.py",
-    "benchmarks/blind/plants/grammar.py",
-    "benchmarks/blind/plants/effects.py",
-    "benchmarks/blind/page.py",
-    "benchmarks/blind/diagnose.py",
-    "benchmarks/blind/__main__.py",
-    "benchmarks/abroad/__init__.py",
-    "benchmarks/abroad/__main__.py",
-    "benchmarks/abroad/blind.py",
-    "benchmarks/abroad/calibrate.py",
-    "benchmarks/abroad/compiled.py",
-    "benchmarks/abroad/gap.py",
-    "benchmarks/abroad/plant.py",
-    "benchmarks/abroad/score.py",
-    "benchmarks/blind/blind_check.py",
-    "benchmarks/blind/blind_page.py",
-    "benchmarks/blind/blind_score.py",
-    "benchmarks/blind/made.py",
-    "docs/blind.md",
-    "docs/blind_abroad.md",
-    "docs/blind_abroad_notes.md",
-    "docs/blind_notes.md",
+    "benchmarks/rigs/__init__.py",
+    "benchmarks/rigs/compiled.py",
+    "benchmarks/rigs/gap.py",
+    "benchmarks/rigs/plant.py",
 )
 HABITS = {
     r"\breturns? (what|who|whether what)\b": "name the value: 'Return the residuals'",

@@ -3,6 +3,7 @@
 run SEED      draw cases, diagnose each in a process of its own that knows nothing of its label; continues
 publish SEED  write what is committed of a seed: `benchmarks/blind/published/<seed>/`
 page          write docs/blind.md from what is published
+calibrate SEED  continue the shipped calibration with the rehearsal of a published seed
 verify        recompute the page from what is committed, and logs of some cases from their seeds
 """
 
@@ -15,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ from benchmarks.blind.plants.network import DivergedError
 from benchmarks.study_command import ended
 
 PUBLISHED = Path(__file__).with_name("published")
-PAGE = Path("docs/blind.md")
+PAGE = Path(__file__).parents[2] / "docs" / "blind.md"
 
 
 def answered(seed: int, number: int, work: Path, labels: Path, limit: float) -> str:
@@ -98,8 +100,30 @@ def publish(seed: int, work: Path, labels: Path) -> Path:
     return target
 
 
+def calibrate(seed: int) -> None:
+    """Continue the curves of the shipped calibration with a seed's rehearsal, and write them in its place."""
+    import fmuid.diagnosis
+    from benchmarks.blind.page import read_published
+    from fmuid.diagnosis.calibration import Trial, fit_curves, shipped
+
+    (chosen,) = (s for s in read_published(PUBLISHED) if s.seed == seed)
+    trials = [
+        Trial(case.kind, *case.claim)
+        for case in chosen.cases(0, REHEARSAL)
+        if case.answer and not case.label["twin_of"]
+    ]
+    before, after = shipped(), fit_curves(trials, "")
+    curves = dict(before.curves)
+    for kind, (offset, slope) in after.curves.items():
+        first, steep = before.curves.get(kind, (0.0, 1.0))
+        curves[kind] = (offset + slope * first, slope * steep)
+    told = replace(before, curves=curves, trials=before.trials + len(trials)).to_dict()
+    file = Path(fmuid.diagnosis.__file__).with_name("calibration.json")
+    file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
 def verify(count: int) -> list[str]:
-    """Return what of the committed page and logs cannot be recomputed, a line each."""
+    """Recompute the committed page and logs of some cases; return one line for each difference."""
     import tempfile
 
     from benchmarks.blind.page import page, read_published
@@ -144,6 +168,7 @@ def main() -> int:
             one.add_argument("--workers", type=int, default=1)
             one.add_argument("--time-limit", type=float, default=300.0)
     commands.add_parser("page")
+    commands.add_parser("calibrate").add_argument("seed", type=int)
     commands.add_parser("verify").add_argument("--regenerate", type=int, default=5, help="cases of each seed")
     given = parser.parse_args()
 
@@ -152,6 +177,9 @@ def main() -> int:
             from benchmarks.blind.page import page
 
             PAGE.write_text(page(PUBLISHED), encoding="utf-8")
+            return []
+        if given.command == "calibrate":
+            calibrate(given.seed)
             return []
         if given.command == "verify":
             return verify(given.regenerate)

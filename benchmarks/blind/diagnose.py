@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def reduced(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return what a score needs of a diagnosis."""
+    """Reduce a diagnosis to the part that a score needs."""
     verdict = answer["verdict"]
     reported = {*verdict["effects"], *(e for s in verdict["one_of"] for e in s)}
     for one in answer["answers"][:5]:

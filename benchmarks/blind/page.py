@@ -16,15 +16,14 @@ from benchmarks.blind.score import Figure, Scored, figures, in_words, regimes, s
 _INTRODUCTION = """\
 # The blind check
 
-How often a diagnosis is right on machines that nobody has seen. Rigs are drawn at random from a grammar:
+How often a diagnosis is right on random rigs. Rigs are drawn at random from a grammar:
 networks of 2 to 8 components in one or two domains, with parameters, inputs, sensors, rates and noise. Each has
 a plain Modelica model, half of them with components and half as equations, and a plant by nodal assembly in C
 that shares nothing with the program. Plants differ from their models by parameters up to a fifth off, by a
 background of three to six small effects, and by what is asked for: nothing, one or two effects of the
 catalogue's kinds in shapes that are not the catalogue's, a coefficient that varies, something that no catalogue
 has, or an effect in one operating regime only. Logs are as they come: six of ten are single runs; some start in
-motion, run in a closed loop, have the timing of a PLC, columns that nothing uses, or a damaged file beside
-them.
+motion, run in a closed loop, have the timing of a PLC, columns that nothing uses, or come with a damaged file.
 
 `fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
 whole, in `benchmarks/blind/published/<seed>/`: version of the grammar, labels, answers, SHA-256 of every log.
@@ -43,7 +42,7 @@ cluster by rig, and the intervals allow for it. The interval for a new rig is wh
 not among these lies.
 """
 _REGIMES = """\
-Beside the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems:
+Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems:
 whether a discrepancy is seen; F1 of the samples that are named, of those where the effect acts; the relative
 error of the parameters that the runs determine (mean over parameters, median over cases); whether the law is
 named."""
@@ -69,7 +68,7 @@ class Seed:
 
 
 def read_published(folder: Path) -> list[Seed]:
-    """Return what is published, seed by seed."""
+    """Read the published seeds."""
     found = []
     for file in sorted(folder.glob("*/seed.json")):
         told = json.loads(file.read_text())

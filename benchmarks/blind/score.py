@@ -147,6 +147,19 @@ class Scored:
         return float(best["probability"] or 0.0), bool(true)
 
     @property
+    def claim(self) -> tuple[float, bool]:
+        """The probability that the verdict claims for what it says, and whether that holds."""
+        assert self.answer is not None
+        said = {"complete": [{"none"}], "insufficient": [{"none"}], "unknown": [{"unknown"}]}.get(self.kind)
+        open_ = said or [{canonical(n) for n in s} for s in self.sets]
+        weight = sum(
+            float(a["probability"] or 0.0)
+            for a in self.answer["answers"]
+            if {canonical(n) for n in a["effects"]} in open_
+        )
+        return weight, self.right if self.kind != "insufficient" else self.label["stratum"] == "none"
+
+    @property
     def reason(self) -> str:
         """Why the case is not right, as far as a program can say it."""
         if not self.answer:
@@ -162,7 +175,7 @@ class Scored:
             return "the gap is not seen"
         if self.kind == "unknown":
             return "called unknown" + ("" if self.placed else ", at another place")
-        return "not every effect is named, or others beside it"
+        return "not every effect is named, or others in addition"
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.abroad.logs import drawn_factors
 from benchmarks.discovery.case import Case, cases, make_campaign
 from benchmarks.discovery.score import RIGHT, SAME, difference, true_course
+from benchmarks.rigs.logs import drawn_factors
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 

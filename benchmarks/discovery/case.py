@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
-from benchmarks.abroad.plant import Extra, Rig
-from benchmarks.abroad.rigs import FOUND_ON
-from benchmarks.abroad.shaker import SHAKER
 from benchmarks.discovery.laws import course, late, law, oscillator
+from benchmarks.rigs.logs import Recording, drawn_factors, write_logs
+from benchmarks.rigs.plant import Extra, Rig
+from benchmarks.rigs.rigs import FOUND_ON
+from benchmarks.rigs.shaker import SHAKER
 from fmuid.cli.app import run
 
 _LISTS = [Path(__file__).parent / name for name in ("cases.toml", "shaker.toml", "unseen.toml")]

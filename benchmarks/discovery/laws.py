@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.abroad.plant import Extra
+from benchmarks.rigs.plant import Extra
 
 Values = Mapping[str, float]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.abroad.plant import Floats
 from benchmarks.discovery.case import Case
+from benchmarks.rigs.plant import Floats
 from fmuid.discovery.terms import evaluated, names_in
 
 RIGHT = 0.05  # of the true law: root mean square difference

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.abroad.case import diagnose
-from benchmarks.abroad.rigs import FOUND_ON
+from benchmarks.rigs.case import diagnose
+from benchmarks.rigs.rigs import FOUND_ON
 
 BY_NAME = {rig.name: rig for rig in FOUND_ON}
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.blind import plants
-from benchmarks.blind.__main__ import publish, verify
+from benchmarks.blind.__main__ import PAGE, PUBLISHED, publish, verify
 from benchmarks.blind.agreement import TOLERANCE, disagreement
 from benchmarks.blind.page import page
 from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
@@ -162,6 +162,10 @@ def test_the_page_is_what_is_published_and_a_changed_answer_is_noticed(tmp_path,
     answers.write_text(answers.read_text().replace('"complete"', '"unknown"'))
     (folder / "logs.sha256").write_text((folder / "logs.sha256").read_text().replace("  c", "0  c", 1))
     assert len(verify(1)) == 2
+
+
+def test_the_committed_page_is_what_the_published_seeds_give():
+    assert PAGE.read_text(encoding="utf-8") == page(PUBLISHED)
 
 
 def test_without_cases_no_figure_is_made_up():

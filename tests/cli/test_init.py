@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from benchmarks.abroad.logs import Recording, write_logs
-from benchmarks.abroad.rehearsal_rigs import REHEARSED_ON
-from benchmarks.abroad.shaker import SHAKER
+from benchmarks.rigs.logs import Recording, write_logs
+from benchmarks.rigs.rehearsal_rigs import REHEARSED_ON
+from benchmarks.rigs.shaker import SHAKER
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.campaigns.first_choice import independent_columns
 from fmuid.campaigns.known_values import is_drawn

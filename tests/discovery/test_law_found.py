@@ -10,10 +10,10 @@ import jsonschema
 import numpy as np
 import pytest
 
-from benchmarks.abroad.logs import Recording, drawn_factors, write_logs
-from benchmarks.abroad.plant import Extra
-from benchmarks.abroad.thermal_block import THERMAL_BLOCK as BLOCK
 from benchmarks.discovery.case import cases, make_campaign
+from benchmarks.rigs.logs import Recording, drawn_factors, write_logs
+from benchmarks.rigs.plant import Extra
+from benchmarks.rigs.thermal_block import THERMAL_BLOCK as BLOCK
 from fmu_build.instrument import State
 from fmuid.cli.app import run
 from fmuid.discovery.injected import of_second_order

@@ -135,7 +135,7 @@ class Usual:
 
 
 def usual(rig: Rig, u: Floats) -> Usual:
-    """Return what is usual on a rig driven by `u`."""
+    """Return the usual ranges of a rig driven by `u`."""
     network = rig.network
     everything = [("potential", k) for k in range(len(network.nodes))]
     everything += [("position", k) for k in range(len(network.nodes))]
@@ -195,7 +195,7 @@ class Candidate:
 def candidates(
     rig: Rig, typical: Usual, rng: np.random.Generator, laws: Sequence[str] | None = None
 ) -> list[Candidate]:
-    """Return what may act on a rig, each in shape 0 and with drawn numbers of its shape."""
+    """Return the effects that may act on a rig, each in shape 0 and with drawn numbers of its shape."""
     found = []
     for k, node in enumerate(rig.network.nodes):
         if node.driven < 0:
@@ -331,7 +331,7 @@ def varying(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Varying]
 
 
 def unknowns(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Candidate]:
-    """Return what no catalogue has, at the stores of a rig."""
+    """Return effects outside the catalogue, at the stores of a rig."""
     own = [k for k, n in enumerate(rig.network.nodes) if n.driven < 0]
     return [_at_node(rig, typical, rng, k, law) for k in own for law in UNKNOWN]
 

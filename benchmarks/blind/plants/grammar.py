@@ -249,7 +249,7 @@ class _Drawing:
     def keep(
         self, name: str, value: float, unit: str, words: str, slot: tuple[str, int, int], inverse: bool = False
     ) -> float:
-        """Note a parameter, rounded as people do; return what the network has there."""
+        """Note a parameter, rounded as people do; return its value in the network."""
         rounded = float(f"{value:.2g}")
         self.parameters.append(Parameter(name, rounded, unit, words, slot, inverse))
         return 1.0 / rounded if inverse else rounded

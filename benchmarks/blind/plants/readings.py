@@ -135,7 +135,7 @@ class Gaps:
         return np.concatenate(parts)
 
     def left(self, effects: Sequence[Any_], beside: Sequence[Any_] = ()) -> Floats:
-        """Return what parameters, refitted without the effects, leave of readings with them."""
+        """Return the residuals of readings with effects after a refit of the parameters without them."""
         target = self.readings({}, [*effects, *beside])
         names = [p.name for p in self.rig.parameters]
         moved, best = np.zeros(len(names)), target - (self.plain if not beside else self.readings({}, beside))
@@ -182,7 +182,7 @@ class Gaps:
     def twins_of(self, effect: Any_, others: Sequence[Candidate], repeats: int) -> list[str]:
         """Return the ids of candidates that these runs cannot tell from an effect.
 
-        A candidate, at its best size and with the parameters refitted beside it, differs by less than three
+        A candidate, at its best size and with the parameters refitted, differs by less than three
         standard deviations over all runs.
         """
         try:
@@ -209,7 +209,7 @@ class Gaps:
         return found
 
     def _direction(self, other: Candidate) -> Floats | None:
-        """Return what a candidate of a small size leaves, to first order."""
+        """Return the residuals of a candidate of a small size, to first order."""
         if other.id not in self._directions:
             try:
                 moved = self.readings({}, [other.sized(0.05)]) - self.plain

@@ -255,7 +255,7 @@ def _weights(observed: Observed) -> FloatArray:
 def shipped() -> Calibration:
     """Return the calibration shipped with the package.
 
-    Its plants are a belt axis, a heated block, an electric circuit and tanks (`benchmarks.abroad.calibrate`).
+    Its plants are a belt axis, a heated block, an electric circuit and tanks.
     """
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
