@@ -21,6 +21,7 @@ from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.diagnosis.log_timing import with_timing_of_log
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
@@ -146,6 +147,11 @@ def diagnose(
         if calibrate:
             calibration.keep(key, _calibrated(subject, calibrate, seed, say))
         found = diagnose_subject(subject, say=say, seed=seed, calibration=calibration.kept(key))
+        if (retimed := with_timing_of_log(campaign, found, runner)) is not None:
+            campaign, note = retimed
+            subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
+            found = diagnose_subject(subject, seed=seed, calibration=calibration.kept(key))
+            found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
         discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
         if discovery is not None:
             found = replace(found, diagnosis=replace(found.diagnosis, law_found=discovery.found))

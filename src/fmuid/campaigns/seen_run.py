@@ -75,7 +75,7 @@ class SeenRun:
 
     def timed(self, interpolation: Interpolation, after: tuple[str, ...] = ()) -> SeenRun:
         """Return the same run with another timing of its signals, relative to the same ranges."""
-        task = replace(self._task, interpolation=interpolation, after=after)
+        task = replace(self._task, interpolation=interpolation, linear=(), after=after)
         return SeenRun(self._model, task, self._measured, self._runner, values=self._values, scale=self.scale)
 
     def _at(self, values: Mapping[str, float]) -> SeenRun:

@@ -6,8 +6,8 @@ than a sample is blamed on the machine.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,14 @@ from fmuid.campaigns.seen_run import SeenRun
 from fmuid.core.campaign import Timing
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.cases import Case
+from fmuid.simulation.runners import Runner
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Variable
 
 _NEARLY = 0.5  # of the way between two conventions: another effect rarely looks like the whole way
 _CLEARLY = 0.8  # remaining share of the squared error for a convention to count as better
+_MOST_RUNS = 3
 _SURE = 12.0  # log likelihood ratio for a lost row
 _ONE = 0.3  # deviation from one row for a row to be lost
 _AROUND = 3  # samples on either side of a lost row that have to be as usual
@@ -108,6 +112,34 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
             )
         )
     return tuple(sorted(found, key=lambda c: (not c.explains and c.timing != "held", -c.evidence)))
+
+
+def conventions_of(
+    cases: Sequence[Case], values: Mapping[str, float], names: Collection[str], runner: Runner
+) -> tuple[Convention, ...]:
+    """Judge the conventions for cases of one model, as `timing_conventions` does for runs; only held if it cannot.
+
+    Cases in segments, with a sensor model, or of a recorder that writes a row after each step are not judged.
+
+    Parameters
+    ----------
+    values
+        Values of the campaign's parameters, from which the refits start.
+    names
+        Names of the parameters to refit.
+    """
+    plain = [c for c in cases if not c.lead and all(ch.plain for ch in c.channels)]
+    plain = [c for c in plain if not isinstance(c.simulator, Segmented)][:_MOST_RUNS]
+    if not plain:
+        return (Convention("held"),)
+    model, seen = plain[0].simulator, []
+    for case in plain:
+        measured = np.array([channel.mean for channel in case.channels])
+        task = replace(case.task, interpolation="hold", linear=(), after=())
+        seen.append(SeenRun(model, task, measured, runner, values=case.start_values(values)))
+    own = {variable for n, (variable, _) in plain[0].setting.items() if n in names}
+    free = [v for v in model.variables.values() if v.name in own and v.start]
+    return timing_conventions(seen, free)
 
 
 def chosen(conventions: Sequence[Convention]) -> Convention:

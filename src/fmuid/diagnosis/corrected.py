@@ -197,6 +197,7 @@ class _Document:
         assert campaign.measurements_file is not None
         raw["campaign"]["measurements"] = self._path(campaign.measurements_file)
         raw["models"] = {s: self._model(s, specs[s], fmus[s], t) for s, t in raw["models"].items() if s in specs}
+        self._time(raw)
         units = {n: unit for e in self.effects for n, unit in e.units.items() if unit != "1"}
         units |= {n: v.unit for c in self.subject.model.cases for n, v in c.simulator.variables.items() if v.unit}
         parameters = {name: dict(table) for name, table in raw.get("parameters", {}).items()}
@@ -228,6 +229,19 @@ class _Document:
             raw["effects"] = chosen
         order = ("campaign", "signals", "models", "parameters", "settings", "roles", "stages", "effects")
         return {key: raw[key] for key in (*order, *raw) if key in raw}
+
+    def _time(self, raw: dict[str, Any]) -> None:
+        """Write the timing that the diagnosis used, if it is not that of the campaign's file."""
+        for setup, table in raw["models"].items():
+            old = table.get("timing") or {"hold": "held"}.get(i := table.get("interpolation", "hold"), i)
+            if self.campaign.models[setup].timing != old:
+                table.pop("interpolation", None)
+                table["timing"] = self.campaign.models[setup].timing
+        signals = {name: dict(table) for name, table in raw.get("signals", {}).items()}
+        for name, timing in self.campaign.timings.items():
+            signals.setdefault(name, {})["timing"] = timing
+        if signals:
+            raw["signals"] = signals
 
     def _starts(self, name: str, otherwise: float = 0.0) -> dict[str, Any]:
         """Return the value found for a parameter, and those of single machines or runs if it has them."""

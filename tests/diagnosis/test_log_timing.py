@@ -1,0 +1,68 @@
+"""A lag or delay of less than a sample is not reported if the timing of the log explains it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fmu_build import build
+from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.data.measurements import write_measurements
+from fmuid.diagnosis.log_timing import with_timing_of_log
+from fmuid.identification.problem.cases import from_campaign
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.runners import in_process
+from fmuid.simulation.simulator import Task
+
+MODEL = """
+model Heater
+  parameter Real R = 20;
+  parameter Real C = 50;
+  input Real u;
+  output Real i = u/R;
+  output Real x(start = 0, fixed = true);
+equation
+  C*der(x) = u*i - x;
+end Heater;
+"""
+TOML = """
+[models.bench]
+fmu = "Heater.fmu"
+timing = "linear"
+[parameters]
+R = { start = 20.0, lower = 2.0, upper = 200.0 }
+C = { start = 50.0, lower = 5.0, upper = 500.0 }
+"""
+TIME = np.arange(0.0, 200.0, 1.0)
+
+
+@pytest.mark.parametrize(("delay", "timing"), [(0.4, "held-read-after"), (1.6, None), (0.0, None)])
+def test_a_delay_of_less_than_a_sample(delay: float, timing: str | None, tmp_path: Path) -> None:
+    (tmp_path / "Heater.mo").write_text(MODEL)
+    model = load_fmu(build(tmp_path / "Heater.mo", "Heater", tmp_path, "2"))
+    random = np.random.default_rng(4)
+    u = np.repeat(random.uniform(2.0, 24.0, 25), 8)
+    y = model.simulate(Task(TIME, {"u": u}, ("i", "x"), after=("i", "x")), {"R": 22.0, "C": 45.0})
+    y += 0.01 * np.ptp(y, axis=1, keepdims=True) * random.normal(size=y.shape)
+    signals = {n: Signal(n, row, "1", "output") for n, row in zip(("i", "x"), y, strict=True)}
+    run = Experiment("run", "bench", TIME, {"u": Signal("u", u, "1", "input"), **signals})
+    write_measurements(Measurements({"run": run}), tmp_path / "measurements.h5")
+    (tmp_path / "campaign.toml").write_text(TOML)
+    campaign = load_campaign(tmp_path)
+    cases = from_campaign(campaign, list(campaign.measurements), (), {"bench": model})
+    nominal = [SimpleNamespace(name=n, start=campaign.parameters[n].start) for n in ("R", "C")]
+    found = SimpleNamespace(
+        subject=SimpleNamespace(model=SimpleNamespace(cases=cases, fixed={}), nominal=nominal),
+        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, "x.delay": delay})),
+    )
+    retimed = with_timing_of_log(campaign, found, in_process)
+    if timing is None:
+        assert retimed is None
+    else:
+        assert retimed is not None
+        assert retimed[0].models["bench"].timing == timing
+        assert '\'bench\' was diagnosed with timing = "held-read-after" instead of "linear"' in retimed[1]
