@@ -27,7 +27,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-experiments discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example screenshots docs release clean
+.PHONY: all setup fmus coupled test test-all test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-experiments discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example compliance screenshots docs release clean
 all: identify
 
 setup: $(READY)
@@ -178,6 +178,12 @@ modelica-by-example: $(DEVELOPER)
 	@mkdir -p build
 	$(BIN)/python -m benchmarks.modelica_by_example $(BOOK) $(ROOT) --results build/modelica_by_example.json \
 	  --page docs/modelica_by_example.md
+
+# The public Modelica-Compliance suite. SUITE: a clone of https://github.com/modelica/Modelica-Compliance.
+compliance: $(DEVELOPER)
+	@test -d "$(SUITE)/ModelicaCompliance" || { echo "SUITE=$(SUITE): no ModelicaCompliance folder in it;" \
+	  "git clone https://github.com/modelica/Modelica-Compliance"; exit 2; }
+	$(BIN)/python -m benchmarks.compliance $(SUITE) --page docs/modelica_compliance.md
 
 # Changes that no test of the numerical core detects: build/mutation/survivors.md. MODULE=features: only those of this module.
 mutation: $(DEVELOPER)
