@@ -318,6 +318,11 @@ WRONG: dict[str, tuple[str, str, str]] = {
         'signal = "tau_sensor"',
         "campaign.toml [stages.linear] criterion 1: signal 'tau_sensor' is not measured in these experiments; known: tau, w_motor",
     ),
+    "demand_interval": (
+        "demand = 0.5",
+        "demand = [2.0, 0.5]",
+        "campaign.toml [stages.linear] criterion 1: demand is [2, 0.5]; write [good, bad], such as [0.5, 2.0]",
+    ),
     "demand_zero": (
         "demand = 0.5",
         "demand = 0",

@@ -155,3 +155,9 @@ def test_what_cannot_be_whitened_is_said():
         prepare(CriterionSpec("y", options={"whiten": "repeats"}), aim)
     with pytest.raises(ProblemError, match="unknown whiten 'spectrum'; known: sigma, repeats"):
         prepare(CriterionSpec("y", options={"whiten": "spectrum"}), target(np.zeros(401)))
+
+
+@pytest.mark.parametrize(("error", "expected"), [(0.1, 0.0), (0.5, 0.0), (1.25, 0.5), (2.0, 1.0), (3.5, 2.0)])
+def test_a_demand_may_be_an_interval_from_good_to_bad(error, expected):
+    measured = np.zeros_like(TIME)
+    assert score("maximum", measured + error, measured, demand=2.0, good=0.5) == pytest.approx(expected)

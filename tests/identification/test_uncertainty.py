@@ -381,3 +381,20 @@ def test_a_worst_criterion_has_no_standard_errors(analytic):
     ).stages[0]
     assert stage["a"].standard_error is None
     assert any("no standard errors: min_max" in w for w in stage.warnings)
+
+
+def test_the_worst_case_of_a_curved_criterion_is_found_by_optimisation(analytic):
+    """The peak of a bump within the confidence region: neither a draw nor the linearised model is there."""
+    spread = 0.2 / np.sqrt(TIME.size)
+
+    def bump(time, inputs, p):
+        return {"y": p["a"] + 0.0 * time, "z": 1.0 + np.exp(-(((p["a"] - 1.0 - 1.2 * spread) / spread) ** 2))}
+
+    model, task = analytic(bump, ["a"], ("y", "z")), Task(TIME, {}, ("y", "z"))
+    y = 1.0 + 0.2 * np.random.default_rng(0).standard_normal(TIME.size)
+    criteria = [CriterionSpec("y"), CriterionSpec("z", "error_vector", weight=0.0)]
+    data = {"y": y - np.mean(y) + 1.0, "z": np.zeros(TIME.size)}
+    case = measured_case("run", model, task, data, sigma={"y": 0.2, "z": 1.0}, criteria=criteria)
+    asked = AnalysisSpec(monte_carlo=3)
+    found = identify(Problem([case], [ParameterSpec("a", 0.9)]), analyses=asked).stages[0].spread
+    assert found[1].worst == pytest.approx(2.0, abs=0.01)

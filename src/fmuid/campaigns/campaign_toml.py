@@ -98,7 +98,7 @@ class _PriorTable(Table):
 class _CriterionTable(Table):
     signal: str
     kind: str = "least_squares"
-    demand: float = 1.0
+    demand: float | tuple[float, float] = 1.0
     weight: float = 1.0
     from_: float = msgspec.field(name="from", default=-math.inf)
     to: float = math.inf
@@ -842,7 +842,12 @@ def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measuremen
             where=where,
             fix=suggestion(table.signal, outputs),
         )
-    for key, value in (("demand", table.demand), ("weight", table.weight)):
+    good, bad = table.demand if isinstance(table.demand, tuple) else (None, table.demand)
+    if good is not None and not 0.0 <= good < bad:
+        raise CampaignError(
+            f"demand is [{good:g}, {bad:g}]", where=where, fix="write [good, bad], such as [0.5, 2.0]"
+        )
+    for key, value in (("demand", bad), ("weight", table.weight)):
         if not (math.isfinite(value) and value > 0):
             raise CampaignError(f"{key} is {value:g}", where=where, fix="write a positive number")
     if not table.from_ < table.to:
@@ -852,11 +857,11 @@ def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measuremen
     return CriterionSpec(
         signal=table.signal,
         kind=table.kind,
-        demand=table.demand,
+        demand=bad,
         weight=table.weight,
         start_time=table.from_,
         stop_time=table.to,
-        options=frozen_mapping(table.options),
+        options=frozen_mapping(table.options if good is None else {**table.options, "good": good}),
     )
 
 

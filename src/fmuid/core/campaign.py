@@ -189,7 +189,8 @@ class CriterionSpec:
     kind
         For example ``least_squares``, ``maximum`` or ``rise_time``; see `fmuid.identification.problem.criteria`.
     demand
-        The acceptable value: a criterion divided by its demand is satisfied at 1.
+        The acceptable value: a criterion divided by its demand is satisfied at 1. With the option ``good`` it is
+        the bad end of an interval: the criterion is 0 up to the good end, and 1 at the bad one.
     weight
         Weight in the weighted sum.
     start_time, stop_time

@@ -145,10 +145,22 @@ def prepare(spec: CriterionSpec, target: Target) -> Criterion:
     label = str(options.pop("name", f"{spec.signal} {spec.kind}"))
     priority = int(options.pop("priority", 1))
     degrees = math.inf if "sigma" in options else target.degrees
+    good = options.pop("good", None)
     raw = _residuals(spec.kind, target, rows, options, where)
     if options:
         raise ProblemError(f"unknown option '{next(iter(options))}'", where=where, fix="leave it out")
     by_sample = spec.kind in ("least_squares", "error_vector")
+    if good is not None:
+        return Criterion(
+            label=label,
+            signal=spec.signal,
+            kind=spec.kind,
+            weight=spec.weight,
+            demand=spec.demand,
+            smooth=False,
+            residuals=_between(raw, float(good), spec.demand),
+            priority=priority,
+        )
     scatter = None
     if by_sample and not whitened(spec) and degrees > 0.0:
         unit = spec.kind == "least_squares"
@@ -173,6 +185,11 @@ def prepare(spec: CriterionSpec, target: Target) -> Criterion:
 def value(residuals: FloatArray) -> float:
     """Return a criterion's value, the root mean square of its residuals (m,)."""
     return math.sqrt(np.sum(np.square(residuals)) / len(residuals))
+
+
+def _between(raw: Residuals, good: float, bad: float) -> Residuals:
+    """Return the criterion of a demand that is an interval: 0 up to the good value, 1 at the bad one."""
+    return lambda prediction: np.array([max(value(raw(prediction)) - good, 0.0) / (bad - good)])
 
 
 def _residuals(kind: str, target: Target, rows: Rows, options: dict[str, Any], where: str) -> Residuals:

@@ -17,7 +17,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 
 Rows = NDArray[np.intp]
-_FEWEST = 3  # runs that a variance from run to run needs
+_FEWEST = 2  # runs that a variance from run to run needs
 _ENOUGH = 8  # clusters; with fewer runs, blocks of time are looked at as well
 _SHORTEST = 30  # samples of a block
 _LEVERAGE = 0.95  # share of the information on a direction that one cluster may hold

@@ -15,7 +15,7 @@ from fmuid.identification.problem.derivatives import Differences, EvaluateMany, 
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.uncertainty.active_constraints import Active, active_constraints, tangent_space
-from fmuid.identification.uncertainty.clusters import PLAIN, Clustered, clustered
+from fmuid.identification.uncertainty.clusters import CHANCE, PLAIN, Clustered, clustered
 from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score_covariance
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 from fmuid.identification.uncertainty.inherited import Held, effective_degrees
@@ -26,6 +26,7 @@ _DOUBTED = 0.01  # significance at which residuals contradict a given sigma
 _MISSED, _LARGE = 1e-6, 4.0  # p-value, and mean square in sigmas, of a run that the model does not follow
 _EXPLODED = 100.0  # growth of sensitivities over a run at which segments help
 _CHAOTIC = 1e-3  # relative scatter of predictions under tiny changes of the parameters
+_TWO = 0.01  # two clusters have an interval that is six times as wide
 _COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
 _FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
@@ -251,7 +252,7 @@ def _by_clusters(scatter: _Scatter, clusters: Sequence[Clustered]) -> _Scatter:
     covariance, robust, plain = scatter.covariance, dict[int, Clustered](), set[int]()
     for cluster in clusters:
         before = np.diag(covariance)
-        larger = cluster.exceeding(before)
+        larger = cluster.exceeding(before, CHANCE if cluster.clusters > 2 else _TWO)
         robust |= dict.fromkeys(np.flatnonzero(larger).tolist(), cluster)
         plain |= set(np.flatnonzero(cluster.exceeding(np.diag(scatter.covariance), PLAIN)).tolist())
         covariance = _not_below(covariance, np.diag(np.where(larger, cluster.variances, 0.0)))
