@@ -109,8 +109,10 @@ class Journal:
                 raise _unwritable(self.path, error) from None
 
 
-def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
+def records(path: Path, magic: bytes, begin: int | None = None) -> Iterator[tuple[Any, int, int]]:
     """Yield the complete records of a journal, each with its start and end position.
+
+    Reading starts at position `begin`, an end position of an earlier reading, or at the first record.
 
     Raises
     ------
@@ -121,7 +123,7 @@ def records(path: Path, magic: bytes) -> Iterator[tuple[Any, int, int]]:
         if file.read(len(magic)) != magic:
             fix = "remove it to start over, or choose another folder"
             raise JournalError("is not a journal of this version of fmuid", where=path, fix=fix)
-        begin = file.tell()
+        begin = file.seek(file.tell() if begin is None else begin)
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             length, checksum = _HEAD.unpack(head)
             data = file.read(length) if length < _LARGEST else b""

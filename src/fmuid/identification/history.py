@@ -266,6 +266,60 @@ class History:
             self._journal.append((kind, content), lasting=kind != "row")
 
 
+class FollowedRun:
+    """A run folder while another process writes to it; each look reads only what is new.
+
+    Parameters
+    ----------
+    folder
+        The run folder, which need not exist yet.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.run = RecordedRun()
+        self._seen: tuple[int, int] | None = None  # the journal's file, and the position after its last record
+
+    @property
+    def in_progress(self) -> bool:
+        """Whether the run is being made, or was interrupted."""
+        return self._seen is not None
+
+    def look(self) -> bool:
+        """Read what was added since the last look; return whether there was anything.
+
+        Raises
+        ------
+        HistoryError, JournalError
+            The history is damaged.
+        """
+        path = self.folder / JOURNAL
+        try:
+            state = path.stat()
+        except FileNotFoundError:
+            return self._concluded()
+        number, end = self._seen or (-1, 0)
+        if number != state.st_ino or state.st_size < end:
+            self.run, end = RecordedRun(), 0
+        before = end
+        try:
+            for (kind, content), _, after in records(path, _MAGIC, end or None):
+                self.run.take(kind, content)
+                end = after
+        except FileNotFoundError:
+            return self._concluded()
+        self._seen = state.st_ino, end
+        return end != before
+
+    def _concluded(self) -> bool:
+        """Take the history of a run that is complete."""
+        if self._seen is None and (self.run.stages or not (self.folder / FILE).exists()):
+            return False
+        self._seen = None
+        self.run = read_run(self.folder) if (self.folder / FILE).exists() else RecordedRun()
+        return True
+
+
 def read_history(path: str | Path) -> Mapping[str, StageHistory]:
     """Read the history of a run folder, by stage.
 

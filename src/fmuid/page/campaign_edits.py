@@ -76,17 +76,17 @@ class CampaignFile:
             self._after.clear()
             self._write(text)
 
-    def set(self, keys: Sequence[str], value: Any) -> None:
+    def set(self, keys: Sequence[str | int], value: Any) -> None:
         """Set the value at a path of keys, or remove it if it is None; missing tables are made."""
         self.set_all({tuple(keys): value})
 
-    def set_all(self, values: Mapping[tuple[str, ...], Any]) -> None:
+    def set_all(self, values: Mapping[tuple[str | int, ...], Any]) -> None:
         """Set several values in one edit; see `set`."""
         document = tomlkit.parse(self.text)
         for keys, value in values.items():
             table: Any = document
             for key in keys[:-1]:
-                if key not in table:
+                if not isinstance(key, int) and key not in table:
                     table[key] = tomlkit.table(is_super_table=table is document and len(keys) > 2)
                 table = table[key]
             if value is None:
@@ -161,7 +161,7 @@ class CampaignFile:
             raise CampaignError(f"cannot be read ({reason})", where=self.path, fix="check the path") from None
 
 
-def _assign(table: AbstractTable, key: str, value: Any) -> None:
+def _assign(table: AbstractTable, key: Any, value: Any) -> None:
     """Set a value and keep the comment on its line."""
     old = table.get(key)
     item = tomlkit.item(value)

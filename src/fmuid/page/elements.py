@@ -15,6 +15,8 @@ from nicegui.element import Element
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
 from fmuid.page.placed_messages import Message
+from fmuid.report.interactive import specification
+from fmuid.report.plots.figure_data import Figure
 from fmuid.report.thinning import kept_samples
 
 _SIZE = (180, 44)  # of a small curve, px
@@ -75,6 +77,81 @@ class Field:
         self.element.update()
 
 
+class Slider:
+    """A slider between two ends; `moved` is called with each value, at most every 50 ms."""
+
+    STEPS = 1000
+
+    def __init__(
+        self,
+        label: str,
+        value: float,
+        ends: tuple[float, float],
+        moved: Callable[[float], object],
+        *,
+        unit: str = "",
+        log: bool = False,
+    ) -> None:
+        self._ends = ends
+        self._log = log
+        self._unit = unit
+        with element("div", "slider"):
+            text("span", label, "name")
+            self._number = Field(
+                f"Value of {label}", f"{value:.5g}", lambda typed: self._typed(typed, moved), "7em"
+            )
+            self._range = element(
+                "input",
+                type="range",
+                min="0",
+                max=str(self.STEPS),
+                aria_label=label,
+                value=str(self._place(value)),
+                aria_valuetext=self._words(value),
+            )
+
+        def heard(event: Any) -> None:
+            new = self._value(float(event.args))
+            self._number.show(f"{new:.5g}")
+            self._range.props["aria-valuetext"] = self._words(new)
+            moved(new)
+
+        self._range.on("input", heard, js_handler=_VALUE, throttle=0.05)
+
+    def show(self, value: float) -> None:
+        """Show another value."""
+        self._number.show(f"{value:.5g}")
+        self._range.props["value"] = str(self._place(value))
+        self._range.props["aria-valuetext"] = self._words(value)
+        self._range.update()
+
+    def _typed(self, typed: str, moved: Callable[[float], object]) -> None:
+        with told():
+            try:
+                value = float(typed.replace("−", "-"))
+            except ValueError:
+                raise FmuidError(f"'{typed}' is not a number", fix="write it as in 1e-3") from None
+            self.show(value)
+            moved(value)
+
+    def _words(self, value: float) -> str:
+        return f"{value:.4g} {self._unit}".strip()
+
+    def _place(self, value: float) -> int:
+        low, high = self._ends
+        share = (
+            math.log(value / low) / math.log(high / low)
+            if self._log and value > 0
+            else (value - low) / (high - low)
+        )
+        return round(self.STEPS * min(max(share, 0.0), 1.0))
+
+    def _value(self, place: float) -> float:
+        low, high = self._ends
+        share = place / self.STEPS
+        return float(low * (high / low) ** share if self._log else low + share * (high - low))
+
+
 class Choice:
     """A list to choose from; `changed` is called with the key of the choice."""
 
@@ -112,6 +189,36 @@ def enable(made: Element, usable: bool) -> None:
     """Make a button usable or not."""
     made.props["disabled"] = not usable
     made.update()
+
+
+def header(*names: str) -> None:
+    """Make the header of a table."""
+    with element("thead"), element("tr"):
+        for name in names:
+            text("th", name, scope="col")
+
+
+def drawn(figure: Figure) -> dict[str, Any]:
+    """Return a figure as the page's plot element takes it."""
+    spec = specification(figure)
+    for trace in spec["data"]:
+        if isinstance(trace.get("x"), int):
+            trace["x"] = spec["shared"][trace["x"]]
+    layout = spec["layout"] | {"uirevision": "kept"}  # keeps the zoom when values change
+    return {"data": spec["data"], "layout": layout, "config": {"responsive": True, "displaylogo": False}}
+
+
+class Plot:
+    """A figure that can change."""
+
+    def __init__(self, figure: Figure) -> None:
+        spec = drawn(figure)
+        with element("figure", role="img", aria_label=figure.title):
+            self._plot = ui.plotly(spec).classes("plot").style(f"height: {spec['layout']['height']}px")
+
+    def show(self, figure: Figure) -> None:
+        """Show another figure in its place."""
+        self._plot.update_figure(drawn(figure))
 
 
 @contextmanager

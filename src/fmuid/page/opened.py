@@ -10,6 +10,9 @@ from fmuid.campaigns.new_campaign import new_campaign
 from fmuid.campaigns.starting import GivenModel, by_name
 from fmuid.core.errors import FmuidError
 from fmuid.data.table_layout import TableLayout
+from fmuid.diagnosis.corrected import FOLDER
+from fmuid.diagnosis.validation import read_diagnosis
+from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.continued import is_run
 from fmuid.identification.result import Result
 from fmuid.page.workspace import Workspace
@@ -61,12 +64,20 @@ def open_page(
     """
     from fmuid.page.serving import serve
 
+    diagnosis = next((path for path in what if (path / DIAGNOSIS).is_file()), None)
     workspace = workspace_of(what, new, runner=runner, trust=trust, say=say)
+    run = (
+        what[0]
+        if is_run(what[0])
+        else Path("runs")
+        / str(workspace.file.tables.get("campaign", {}).get("name") or workspace.folder.resolve().name)
+    )
+    first = "Look" if diagnosis is not None else "Run" if is_run(what[0]) else "Prepare"
 
     def build() -> None:
         from fmuid.page.shell import Shell
 
-        Shell(workspace)
+        Shell(workspace, run, diagnosis=diagnosis, first=first)
 
     serve(build, title=f"fmuid: {workspace.folder.resolve().name}", port=port, browser=browser, say=say)
 
@@ -86,6 +97,10 @@ def workspace_of(
                 "several files, but no model", where=what[1], fix="give --model FILE.mo or --fmu FILE.fmu"
             )
         (path,) = what
+        if (path / DIAGNOSIS).is_file():
+            corrected = path / FOLDER
+            campaign = corrected if corrected.is_dir() else Path(read_diagnosis(path / DIAGNOSIS)["campaign"])
+            return Workspace(campaign, runner=runner, trust=trust)
         if is_run(path):
             return Workspace(Path(Result.from_json(path).source), runner=runner, trust=trust)
         if path.is_file() and path.suffix != ".toml":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,18 +12,19 @@ from fmuid.campaigns.campaign_toml import SIGNAL_TIMINGS
 from fmuid.core.errors import FmuidError
 from fmuid.page.elements import (
     Choice,
-    Field,
     Notes,
     button,
     curve,
     element,
     enable,
+    header,
     set_text,
     text,
     told,
 )
+from fmuid.page.parameter_table import ParameterTable
 from fmuid.page.placed_messages import Kind, Message, by_place
-from fmuid.page.workspace import TIMINGS, Column, ParameterRow, Workspace
+from fmuid.page.workspace import TIMINGS, Column, Workspace
 from fmuid.report.plots.figure_data import pretty_unit
 
 _NOT_USED = "(not used)"
@@ -35,7 +35,6 @@ _TIMING = {
     "preceding": "a sample acts from the time of the previous one",
 }
 _OF_SIGNALS = {"": "as the model", "held": "held", "linear": "linear", "held-read-after": "read after"}
-_STATES = {"free": "free", "fixed": "fixed", "known": "known"}
 _ROLES = {"identification": "identification", "validation": "validation", "none": "not used"}
 _QUIET = 1.2  # s without an edit before the parameters' effects are simulated
 
@@ -172,7 +171,7 @@ class PrepareView:
             text("span", "Timing")
             self._timing(setup)
         with element("table", "rows", aria_label="Columns of the log and variables of the model"):
-            _header("Column of the log", "Measured, simulated", "Variable of the model", "Timing")
+            header("Column of the log", "Measured, simulated", "Variable of the model", "Timing")
             with element("tbody"):
                 for column in self._work.columns(self._run):
                     self._column(column, setup)
@@ -280,72 +279,14 @@ class PrepareView:
         rows = self._work.parameters()
         mine, others = [r for r in rows if r.in_file], [r for r in rows if not r.in_file]
         text("h2", "Parameters")
-        self._table("Parameters of the campaign", mine)
+        self._tables = [ParameterTable("Parameters of the campaign", mine, self._work, self._act)]
         if others:
             with element("details"):
                 text("summary", f"{len(others)} more parameters of the model, fixed at its values")
-                self._table("Other parameters of the model", others)
+                self._tables.append(ParameterTable("Other parameters of the model", others, self._work, self._act))
 
-    def _table(self, label: str, rows: list[ParameterRow]) -> None:
-        with element("table", "rows", aria_label=label):
-            _header("Parameter", "", "Start", "Lower", "Upper", "Unit", "Reason")
-            with element("tbody"):
-                for row in rows:
-                    self._parameter(row)
-
-    def _parameter(self, row: ParameterRow) -> None:
-        name = row.name
-        fields: dict[str, Field] = {}
-        with element("tr"):
-            with element("th", "name wide", scope="row"):
-                text("span", name)
-                if row.description:
-                    text("div", row.description, "soft")
-                notes = Notes()
-            with element("td", "wide"):
-                state = Choice(
-                    f"{name} is",
-                    _STATES,
-                    row.state,
-                    lambda key: self._act(lambda: self._work.set_state(name, key)),
-                )
-            for key in ("start", "lower", "upper"):
-                with element("td", data_label=key.capitalize()):
-                    fields[key] = Field(
-                        f"{key.capitalize()} of {name}",
-                        _shown(getattr(row, key)),
-                        lambda typed, key=key: self._number(name, key, typed),  # type: ignore[misc]
-                        "6.5em",
-                    )
-                    fields[key].enable(row.in_file)
-            text("td", pretty_unit(row.unit), data_label="Unit")
-            reason = text("td", row.reason, "soft wide", data_label="Reason")
-
-        def update(messages: Mapping[tuple[Kind, str], list[Message]]) -> None:
-            now = next((r for r in self._work.parameters() if r.name == name), row)
-            state.show(now.state)
-            for key, field in fields.items():
-                field.show(_shown(getattr(now, key)))
-            set_text(reason, now.reason)
-            notes.show(messages.get(("parameter", name), []))
-
-        self._updates.append(update)
-
-    def _number(self, name: str, key: str, typed: str) -> None:
-        def change() -> None:
-            try:
-                value = float(typed.replace("−", "-")) if typed.strip() else None
-            except ValueError:
-                what = f"'{typed}' is not a number"
-                raise FmuidError(what, where=f"{key} of {name}", fix="write it as in 1e-3") from None
-            if value is not None and not math.isfinite(value):
-                value = None
-            self._work.edit(lambda f: f.set(("parameters", name, key), value))
-
-        with told():
-            change()
-        self._work.version += 1  # shows the file's value again if the text was refused
-        self._show()
+        for table in self._tables:
+            self._updates.append(table.show)
 
     # ---------------------------------------------------------------- runs and model
 
@@ -354,7 +295,7 @@ class PrepareView:
         self._notes("roles", "")
         firsts = [r for r in self._work.runs if not r.repeats_another]
         with element("table", "rows", aria_label="Recorded runs"):
-            _header("Run", "Used for", "Repeats", "Samples", "Duration")
+            header("Run", "Used for", "Repeats", "Samples", "Duration")
             with element("tbody"):
                 for first in firsts:
                     repeats = [r.id for r in self._work.runs if first.id in (r.repeat_of, r.repeat_of_reference)]
@@ -403,13 +344,3 @@ class PrepareView:
             with element("figure", "model-graph"):
                 ui.html(drawn.svg, sanitize=False)
                 text("figcaption", drawn.caption, "soft")
-
-
-def _header(*names: str) -> None:
-    with element("thead"), element("tr"):
-        for name in names:
-            text("th", name, scope="col")
-
-
-def _shown(value: float | None) -> str:
-    return "" if value is None else f"{value:.6g}"

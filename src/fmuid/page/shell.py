@@ -10,7 +10,9 @@ from nicegui import ui
 from nicegui.element import Element
 
 from fmuid.page.elements import element, text
+from fmuid.page.look_view import LookView
 from fmuid.page.prepare_view import PrepareView
+from fmuid.page.run_view import RunView
 from fmuid.page.workspace import Workspace
 
 _STYLE = Path(__file__).with_name("style.css")
@@ -30,14 +32,24 @@ class Shell:
     ----------
     workspace
         What the page works on.
+    run_folder
+        The folder of the run to follow and to look at.
+    diagnosis
+        The folder of the diagnosis to look at, if any.
     first
         The tab that is open first.
     """
 
-    def __init__(self, workspace: Workspace, first: str = "Prepare") -> None:
+    def __init__(
+        self, workspace: Workspace, run_folder: Path, *, diagnosis: Path | None = None, first: str = "Prepare"
+    ) -> None:
         ui.add_css(_STYLE)
         self._work = workspace
-        self._views: dict[str, Callable[[], object]] = {"Prepare": lambda: PrepareView(workspace)}
+        self._views: dict[str, Callable[[], object]] = {
+            "Prepare": lambda: PrepareView(workspace),
+            "Run": lambda: RunView(workspace, run_folder, self._look),
+            "Look": lambda: LookView(workspace, diagnosis or run_folder),
+        }
         self._tabs: dict[str, Element] = {}
         self._panels: dict[str, Element] = {}
         self._made: dict[str, Any] = {}
@@ -45,17 +57,17 @@ class Shell:
             with element("header", "top"):
                 text("h1", self._title())
                 text("span", str(workspace.folder), "soft name")
-            if len(self._views) > 1:
-                with element("div", role="tablist", aria_label="Steps"):
-                    for name in self._views:
-                        tab = text("button", name, type="button", role="tab", id=f"tab-{name}")
-                        tab.props["aria-controls"] = f"panel-{name}"
-                        tab.on("click", lambda _, name=name: self.open(name))
-                        tab.on("keydown", js_handler=_ARROWS)
-                        self._tabs[name] = tab
+            with element("div", role="tablist", aria_label="Steps"):
+                for name in self._views:
+                    tab = text("button", name, type="button", role="tab", id=f"tab-{name}")
+                    tab.props["aria-controls"] = f"panel-{name}"
+                    tab.on("click", lambda _, name=name: self.open(name))
+                    tab.on("keydown", js_handler=_ARROWS)
+                    self._tabs[name] = tab
             for name in self._views:
                 panel = element("section", id=f"panel-{name}")
-                panel.props["aria-label"] = name
+                panel.props["role"] = "tabpanel"
+                panel.props["aria-labelledby"] = f"tab-{name}"
                 self._panels[name] = panel
         self.open(first)
 
@@ -71,6 +83,10 @@ class Shell:
                 self._made[name] = self._views[name]()
         if hasattr(self._made[name], "opened"):
             self._made[name].opened()
+
+    def _look(self, folder: Path) -> None:
+        self.open("Look")
+        self._made["Look"].opened(folder)
 
     def _title(self) -> str:
         head = self._work.file.tables.get("campaign", {})

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.campaigns.new_campaign import parameter_text
-from fmuid.core.campaign import Campaign, Timing
+from fmuid.core.campaign import SEPARATOR, Campaign, Timing
 from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Causality, Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
@@ -231,7 +231,7 @@ class Workspace:
         before = self.measurements
         if changed:
             write_measurements(replace(self.measurements, experiments=runs), self.measurements_file)
-        values: dict[tuple[str, ...], Any] = {("models", setup, "map", column): target}
+        values: dict[tuple[str | int, ...], Any] = {("models", setup, "map", column): target}
         values |= {  # a variable has one column
             ("models", setup, "map", other): None
             for other, taken in self._map(setup).items()
@@ -329,6 +329,38 @@ class Workspace:
                     ("parameters", name, "known"): True if state == "known" else None,
                 }
             )
+        self.refresh()
+
+    def start_from(self, values: Mapping[str, float]) -> None:
+        """Make values the start values of the campaign's parameters, within their bounds.
+
+        The names are those of results: ``name@owner`` is the value of one machine or experiment.
+        """
+        changes: dict[tuple[str | int, ...], Any] = {}
+        tables = self.file.tables.get("parameters", {})
+        for full, value in values.items():
+            name, of_one, owner = full.partition(SEPARATOR)
+            if name not in tables or not np.isfinite(value):
+                continue
+            value = float(min(max(value, tables[name].get("lower", -np.inf)), tables[name].get("upper", np.inf)))
+            path = ("parameters", name, "starts", owner) if of_one else ("parameters", name, "start")
+            changes[path] = value
+        self.file.set_all(changes)
+        self.refresh()
+
+    def set_criterion(self, stage: str, number: int, key: str, typed: str) -> None:
+        """Set ``demand`` or ``weight`` of a criterion of a stage.
+
+        Raises
+        ------
+        FmuidError
+            The text is not a number.
+        """
+        try:
+            value = float(typed)
+        except ValueError:
+            raise FmuidError(f"'{typed}' is not a number", where=key, fix="write it as in 0.5") from None
+        self.file.set(("stages", stage, "criteria", number, key), value)
         self.refresh()
 
     def role(self, run: str) -> str:

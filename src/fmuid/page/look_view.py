@@ -1,0 +1,193 @@
+"""Look: sliders for parameters and effects, with the simulation over the measurements as they move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from nicegui import run, ui
+
+from fmuid.core.campaign import ParameterSpec
+from fmuid.core.errors import FmuidError
+from fmuid.core.immutable import FloatArray
+from fmuid.identification.problem.cases import Case
+from fmuid.identification.validate import predicted
+from fmuid.page.elements import Choice, Plot, Slider, button, element, set_text, text, told
+from fmuid.page.outcome import Outcome, in_log_units, outcome_at
+from fmuid.page.workspace import Workspace
+from fmuid.report.figures import Overlay, overlay_figure
+from fmuid.report.predicted import overlays
+
+_SPAN = 3.0  # factor from the value to the ends of a slider without bounds
+
+
+class LookView:
+    """The last tab of the page."""
+
+    def __init__(self, workspace: Workspace, run_folder: Path | None = None) -> None:
+        self._work = workspace
+        self._folder = run_folder
+        self._version = -1
+        self._root = element("div")
+        self._busy = False
+
+    def opened(self, run_folder: Path | None = None) -> None:
+        """Show the present result."""
+        self._folder = run_folder or self._folder
+        with told():
+            self._build()
+
+    def _build(self) -> None:
+        work = self._work
+        self._root.clear()
+        campaign = work.campaign
+        if campaign is None:
+            with self._root:
+                text("p", "The campaign has errors; see Prepare.", "headline", role="status")
+            return
+        self._outcome = outcome_at(self._folder, campaign) or Outcome(
+            "Not identified yet: these are the start values.", {"start": campaign.start_values}
+        )
+        self._names = list(self._outcome.values)
+        self._values: dict[str, float] = dict(self._outcome.values[self._names[0]])
+        runs = [r.id for r in work.runs if not r.repeats_another]
+        self._run = next((r for r in (*campaign.validation, *campaign.identification) if r in runs), runs[0])
+        self._cases: tuple[Case, ...] = ()
+        self._plots: list[Plot] = []
+        with self._root:
+            text("p", self._outcome.headline, "headline", role="status")
+            with element("div", "buttons"):
+                text("span", "Show run")
+                Choice("Run to look at", {r: r for r in runs}, self._run, self._choose)
+                if len(self._names) > 1:
+                    text("span", "Values")
+                    self._set = Choice("Set of values", {n: n for n in self._names}, self._names[0], self._take)
+                if self._outcome.effects:
+                    self._switch = button("Correction", self._toggle, role="switch", aria_checked="true")
+                button("Use as start values", self._keep)
+            self._said = text("p", "", "soft", role="status")
+            with element("div", "beside"):
+                self._figures = element("div", "figures")
+                with element("section", "side", aria_label="Sliders"):
+                    self._sliders: dict[str, Slider] = {}
+                    effects = [s for s in campaign.parameters.values() if s.name in self._outcome.effects]
+                    rest = [s for s in campaign.parameters.values() if s.name not in self._outcome.effects]
+                    self._group("Size of each effect", effects)
+                    self._group("Parameters", [s for s in rest if s.free])
+                    self._group("Fixed parameters", [s for s in rest if not s.free])
+        self._choose(self._run)
+
+    def _group(self, title: str, specs: list[ParameterSpec]) -> None:
+        if not specs:
+            return
+        text("h2", title)
+        with element("div", "sliders"):
+            for spec in specs:
+                for name in [n for n in self._values if n == spec.name or n.startswith(f"{spec.name}@")]:
+                    self._sliders[name] = Slider(
+                        name,
+                        self._values[name],
+                        _ends(spec, self._values[name]),
+                        lambda value, name=name: self._moved({name: value}),  # type: ignore[misc]
+                        unit=spec.unit or "",
+                        log=spec.scale == "log",
+                    )
+
+    def _choose(self, run: str) -> None:
+        self._run = run
+        with told():
+            self._cases = self._work.cases([run])
+            self._figures.clear()
+            self._plots = []
+            self._moved({})
+
+    def _take(self, name: str) -> None:
+        """Show a set of values."""
+        self._moved(self._outcome.values[name])
+        for parameter, slider in self._sliders.items():
+            slider.show(self._values[parameter])
+        if self._outcome.effects:
+            self._switch.props["aria-checked"] = "true" if name == self._names[0] else "false"
+            self._switch.update()
+
+    def _toggle(self) -> None:
+        """Switch the correction on or off."""
+        on = self._switch.props["aria-checked"] != "true"
+        name = self._names[0 if on else 1]
+        self._set.show(name)
+        self._take(name)
+
+    def _keep(self) -> None:
+        with told():
+            self._work.start_from(self._values)
+            ui.notify("campaign.toml now starts from these values; Undo is in Prepare")
+
+    def _moved(self, values: Mapping[str, float]) -> None:
+        self._values |= values
+        if not self._busy:
+            self._busy = True
+            ui.timer(0.0, self._simulate, once=True)
+
+    async def _simulate(self) -> None:
+        """Simulate until the newest values are shown."""
+        try:
+            shown: dict[str, float] | None = None
+            while shown != self._values:
+                shown = dict(self._values)
+                begin = perf_counter()
+                outcomes = await run.io_bound(predicted, self._cases, shown, self._work.runner)
+                self._draw(outcomes or [], 1e3 * (perf_counter() - begin))
+        except FmuidError as error:
+            set_text(self._said, str(error))
+        finally:
+            self._busy = False
+
+    def _draw(self, outcomes: Sequence[FloatArray | FmuidError], milliseconds: float) -> None:
+        drawn: list[Overlay] = []
+        words = []
+        for case, outcome in zip(self._cases, outcomes, strict=True):
+            if isinstance(outcome, FmuidError):
+                words.append(str(outcome))
+                continue
+            signals = self._work.measurements[case.experiments[0]].signals
+            for overlay in overlays(None, case, [("simulation", "final", outcome)]):
+                shown = in_log_units(overlay, signals[overlay.signal].unit)
+                drawn.append(shown)
+                words.append(f"{shown.signal}: {_rms(shown)}")
+        set_text(self._said, f"RMS of the residual: {', '.join(words)}. Simulated in {milliseconds:.0f} ms.")
+        figures = [overlay_figure(f"look-{k}", f"{o.experiment}: {o.signal}", [o]) for k, o in enumerate(drawn)]
+        if len(figures) != len(self._plots):
+            self._figures.clear()
+            with self._figures:
+                self._plots = []
+                for figure in figures:
+                    with element("div"):
+                        text("h3", figure.title)
+                        self._plots.append(Plot(figure))
+            return
+        for plot, figure in zip(self._plots, figures, strict=True):
+            plot.show(figure)
+
+
+def _rms(overlay: Overlay) -> str:
+    residual = overlay.predictions[-1][2] - overlay.measurement
+    residual = residual[np.isfinite(residual)]
+    text = f"{float(np.sqrt(np.mean(residual**2))) if residual.size else math.nan:.3g} {overlay.unit}"
+    if overlay.sigma is None:
+        return text
+    sigma = np.asarray(overlay.sigma, dtype=np.float64)
+    return f"{text} (noise {float(np.sqrt(np.nanmean(sigma[np.isfinite(sigma)] ** 2))):.2g})"
+
+
+def _ends(spec: ParameterSpec, value: float) -> tuple[float, float]:
+    """Return the ends of a parameter's slider: its bounds, or values around its own."""
+    low, high = spec.lower, spec.upper
+    if spec.scale == "log":
+        low, high = max(low, value / 10), min(high, value * 10)
+    else:
+        reach = _SPAN * abs(value) or 1.0
+        low, high = max(low, value - reach), min(high, value + reach)
+    return (low, high) if low < high else (low - 1.0, high + 1.0)
