@@ -102,3 +102,11 @@ def test_what_another_program_wrote_is_taken_over_and_can_be_undone(file: Campai
     assert file.tables["models"]["rig"]["interpolation"] == "linear"
     file.undo()
     assert file.path.read_text() == TEXT
+
+
+def test_an_edit_keeps_what_another_program_has_just_written(file: CampaignFile) -> None:
+    file.path.write_text(TEXT.replace('"hold"', '"linear"'))
+    file.set(("parameters", "arm.m", "start"), 2.5)
+    assert 'interpolation = "linear"' in file.path.read_text()
+    file.undo()
+    assert file.path.read_text() == TEXT.replace('"hold"', '"linear"')

@@ -82,6 +82,7 @@ class CampaignFile:
 
     def set_all(self, values: Mapping[tuple[str | int, ...], Any]) -> None:
         """Set several values in one edit; see `set`."""
+        self.reload()
         document = tomlkit.parse(self.text)
         for keys, value in values.items():
             table: Any = document
@@ -97,6 +98,7 @@ class CampaignFile:
 
     def free(self, name: str, text: str) -> None:
         """Make a parameter free: uncomment its table if the file has it, or add `text`."""
+        self.reload()
         table = self.tables.get("parameters", {}).get(name)
         if table is not None:
             self.set_all({("parameters", name, key): None for key in ("free", "known")})

@@ -221,6 +221,28 @@ class Plot:
         self._plot.update_figure(drawn(figure))
 
 
+class Charts:
+    """Figures side by side, each under its title."""
+
+    def __init__(self) -> None:
+        self._root = element("div", "figures")
+        self._plots: dict[str, Plot] = {}
+
+    def show(self, shown: Sequence[Figure]) -> None:
+        """Show figures; those of the same names are changed in place."""
+        if self._plots.keys() == {figure.name for figure in shown}:
+            for figure in shown:
+                self._plots[figure.name].show(figure)
+            return
+        self._root.clear()
+        with self._root:
+            self._plots = {}
+            for figure in shown:
+                with element("div"):
+                    text("h3", figure.title)
+                    self._plots[figure.name] = Plot(figure)
+
+
 @contextmanager
 def told() -> Iterator[None]:
     """Show an error of the block as a notification."""

@@ -15,7 +15,7 @@ from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.validate import predicted
-from fmuid.page.elements import Choice, Plot, Slider, button, element, set_text, text, told
+from fmuid.page.elements import Charts, Choice, Slider, button, element, set_text, text, told
 from fmuid.page.outcome import Outcome, in_log_units, outcome_at
 from fmuid.page.workspace import Workspace
 from fmuid.report.figures import Overlay, overlay_figure
@@ -56,7 +56,6 @@ class LookView:
         runs = [r.id for r in work.runs if not r.repeats_another]
         self._run = next((r for r in (*campaign.validation, *campaign.identification) if r in runs), runs[0])
         self._cases: tuple[Case, ...] = ()
-        self._plots: list[Plot] = []
         with self._root:
             text("p", self._outcome.headline, "headline", role="status")
             with element("div", "buttons"):
@@ -70,7 +69,7 @@ class LookView:
                 button("Use as start values", self._keep)
             self._said = text("p", "", "soft", role="status")
             with element("div", "beside"):
-                self._figures = element("div", "figures")
+                self._charts = Charts()
                 with element("section", "side", aria_label="Sliders"):
                     self._sliders: dict[str, Slider] = {}
                     effects = [s for s in campaign.parameters.values() if s.name in self._outcome.effects]
@@ -100,8 +99,6 @@ class LookView:
         self._run = run
         with told():
             self._cases = self._work.cases([run])
-            self._figures.clear()
-            self._plots = []
             self._moved({})
 
     def _take(self, name: str) -> None:
@@ -159,17 +156,7 @@ class LookView:
                 words.append(f"{shown.signal}: {_rms(shown)}")
         set_text(self._said, f"RMS of the residual: {', '.join(words)}. Simulated in {milliseconds:.0f} ms.")
         figures = [overlay_figure(f"look-{k}", f"{o.experiment}: {o.signal}", [o]) for k, o in enumerate(drawn)]
-        if len(figures) != len(self._plots):
-            self._figures.clear()
-            with self._figures:
-                self._plots = []
-                for figure in figures:
-                    with element("div"):
-                        text("h3", figure.title)
-                        self._plots.append(Plot(figure))
-            return
-        for plot, figure in zip(self._plots, figures, strict=True):
-            plot.show(figure)
+        self._charts.show(figures)
 
 
 def _rms(overlay: Overlay) -> str:

@@ -11,8 +11,8 @@ from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, UnitError
 from fmuid.core.formatting import interval_text
 from fmuid.core.units import conversion
-from fmuid.diagnosis.catalogue import load_catalogue
 from fmuid.diagnosis.validation import read_diagnosis
+from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.result import Result
 from fmuid.report.figures import Overlay
 from fmuid.simulation.signal_effects import signal_and_property

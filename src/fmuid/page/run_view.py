@@ -15,7 +15,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import FollowedRun, StageHistory
 from fmuid.identification.result import Result, StageResult
 from fmuid.identification.validate import predicted
-from fmuid.page.elements import Choice, Field, Plot, button, element, enable, header, set_text, text, told
+from fmuid.page.elements import Charts, Choice, Field, button, element, enable, header, set_text, text, told
 from fmuid.page.outcome import in_log_units
 from fmuid.page.parameter_table import ParameterTable
 from fmuid.page.placed_messages import by_place
@@ -45,9 +45,9 @@ class RunView:
         self._finished = finished
         self._process: SearchProcess | None = None
         self._follow(folder)
-        self._plots: dict[str, Plot] = {}
         self._drawing = False
         self._shown_campaign = -1
+        self._shape: object = None
         self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
         self._status = text("p", "", "headline", role="status")
         with element("div", "buttons"):
@@ -60,7 +60,12 @@ class RunView:
             Choice("Run to follow", {r.id: r.id for r in workspace.runs}, self._run, self._choose)
         self._where = text("p", "", "soft name")
         self._complaint = text("p", "", "note error", role="alert")
-        self._charts = element("div", "figures")
+        self._charts = Charts()
+        with element("details") as self._details:
+            text("summary", "Parallel coordinates of parameters and criteria")
+            self._parallel = Charts()
+        self._details.on("toggle", self._opened, js_handler="(event) => emit(event.target.open)")
+        self._open = False
         with element("details") as self._steering:
             text("summary", "Steer: bounds, free parameters, demands and weights")
             text(
@@ -192,23 +197,20 @@ class RunView:
         if histories:
             drawn.append(figures.cost_figure(histories))
             drawn += await self._curves(stage)
-            last = histories[-1]
-            campaign = self._work.campaign
+        self._charts.show(drawn)
+        if histories and self._open:
+            last, campaign = histories[-1], self._work.campaign
+            drawn = []
             if len(last.names) > 1:
                 drawn.append(figures.parallel_figure(last, campaign.parameters if campaign else {}, {}))
             if len(last.labels) > 1:
                 drawn.append(figures.parallel_criteria_figure(last))
-        if self._plots.keys() != {f.name for f in drawn}:
-            self._charts.clear()
-            self._plots = {}
-            with self._charts:
-                for figure in drawn:
-                    with element("div"):
-                        text("h3", figure.title)
-                        self._plots[figure.name] = Plot(figure)
-        else:
-            for figure in drawn:
-                self._plots[figure.name].show(figure)
+            self._parallel.show(drawn)
+
+    def _opened(self, event: Any) -> None:
+        """Draw parallel coordinates only while they are open, because the browser needs WebGL for them."""
+        self._open = bool(event.args)
+        self._seen = ""
 
     def _result(self, stage: StageHistory) -> StageResult | None:
         """Return the result of a stage, which has no estimates yet while it runs."""
@@ -251,11 +253,15 @@ class RunView:
             return
         rows = [row for row in self._work.parameters() if row.in_file]
         self._shown_campaign = self._work.version
-        self._inside.clear()
-        with self._inside:
-            table = ParameterTable("Parameters of the search", rows, self._work, self._act)
-            table.show(by_place(self._work.messages))
-            self._criteria()
+        stages = self._work.file.tables.get("stages", {})
+        shape = [row.name for row in rows], [(n, len(s.get("criteria", []))) for n, s in stages.items()]
+        if shape != self._shape:  # otherwise the elements stay, and with them the keyboard's focus
+            self._shape = shape
+            self._inside.clear()
+            with self._inside:
+                self._table = ParameterTable("Parameters of the search", rows, self._work, self._act)
+                self._criteria()
+        self._table.show(by_place(self._work.messages))
 
     def _act(self, action: Callable[[], object]) -> None:
         with told():
