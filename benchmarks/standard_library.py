@@ -136,7 +136,8 @@ def page(results: dict[str, dict[str, Any]]) -> str:
     """Make the page of the docs."""
     lines = [
         "# Modelica Standard Library", "",
-        "How much of the Modelica Standard Library `fmuid build` can take, and how much of it comes out right.",
+        "How much of the Modelica Standard Library `fmuid build` translates, and how much of it matches the"
+        " reference results.",
         "",
         "Examples of the Modelica Standard Library 4.1.0 that have published reference results: translated and",
         "built, valid (fmpy), and with all compared signals inside a tube of 0.2 % around the reference.",
