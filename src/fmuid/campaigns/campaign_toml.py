@@ -905,3 +905,35 @@ def _known(names: Iterable[str], parameters: Mapping[str, ParameterSpec], where:
     for name in names:
         if name not in parameters:
             raise CampaignError(f"unknown parameter '{name}'", where=where, fix=suggestion(name, parameters))
+
+
+def document_type() -> type[Table]:
+    """Return the type of a whole campaign file, with the types of its tables written out, for editors."""
+    joint: Any = msgspec.defstruct("_Joints", [("file", str), ("joints", dict[str, _JointTable])], bases=(Table,))
+    stage: Any = msgspec.defstruct(
+        "_Stage",
+        [
+            ("criteria", list[_CriterionTable], []),
+            ("budget", _BudgetTable, msgspec.UNSET),
+            ("pareto", _ParetoTable, msgspec.UNSET),
+        ],
+        bases=(_StageTable,),
+    )
+    parameter: Any = msgspec.defstruct(
+        "_Parameter", [("prior", _PriorTable, msgspec.UNSET)], bases=(_ParameterTable,)
+    )
+    types: dict[str, Any] = {
+        "campaign": _CampaignTable,
+        "signals": dict[str, _SignalTable],
+        "models": dict[str, _ModelTable],
+        "parameters": dict[str, parameter],
+        "stages": dict[str, stage],
+        "roles": _RolesTable,
+        "effects": _EffectsTable,
+        "limits": dict[str, _LimitTable | float],
+        "design": _DesignTable,
+        "robot": joint,
+    }
+    rest = {field.encode_name: field.type for field in msgspec.structs.fields(_Document)}
+    fields = [(name, types.get(name, kind), msgspec.UNSET) for name, kind in rest.items()]
+    return cast(type[Table], msgspec.defstruct("Campaign", fields, bases=(Table,)))

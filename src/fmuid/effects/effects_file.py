@@ -175,3 +175,8 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         variant=raw.variant or bool(raw.states) or raw.acts == "cut",
         inputs=dict(raw.inputs),
     )
+
+
+def document_type() -> type[Table]:
+    """Return the type of a whole catalogue, for editors."""
+    return _File

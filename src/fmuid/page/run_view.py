@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import msgspec
@@ -26,6 +27,8 @@ from fmuid.report.plots.figure_data import Figure, Role
 from fmuid.report.predicted import overlays
 from fmuid.report.stage_sections import search_history
 
+_PAUSE = 3.0  # s between two drawings while a search runs, so that the browser has time for the user
+
 
 class RunView:
     """The second tab of the page.
@@ -46,6 +49,7 @@ class RunView:
         self._process: SearchProcess | None = None
         self._follow(folder)
         self._drawing = False
+        self._next_drawing = 0.0
         self._shown_campaign = -1
         self._shape: object = None
         self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
@@ -151,13 +155,15 @@ class RunView:
         self._steer()
         stage = self._stage()
         seen = "" if stage is None else f"{self._folder} {stage.name} {len(stage.rows)} {self._run}"
-        if stage is not None and seen != self._seen and not self._drawing:
+        due = perf_counter() >= self._next_drawing or not self._running
+        if stage is not None and seen != self._seen and not self._drawing and due:
             self._drawing = True
             self._seen = seen
             try:
                 await self._draw(stage)
             finally:
                 self._drawing = False
+                self._next_drawing = perf_counter() + _PAUSE
 
     def _words(self) -> None:
         stage, complete = self._stage(), not self._followed.in_progress
