@@ -316,13 +316,7 @@ def _of(
     rows: list[tuple[FloatArray, ...]] = []
     time = [subject.model.cases[k].time for s in having for k in s.index]
     for law_name, law in laws().items():
-        if (
-            COEFFICIENT not in law.domains
-            or (law.absolute and source.unit != "K")
-            or (law.signed and not source.signed)
-        ):
-            continue
-        if law.memory and not (source.near and source.text != TIME):
+        if not _suits(law, source):
             continue
         for trial in _trials(law, source, duration):
             own = [_change(law, x, t, trial) for x, t in zip(source.courses, time, strict=True)]
@@ -346,6 +340,16 @@ def _of(
         if law_name not in best or drop > best[law_name].drop:
             best[law_name] = Scored(having[0].coefficients[name], source, law_name, drop, signature / length)
     yield from best.values()
+
+
+def _suits(law: Law, source: Source) -> bool:
+    """Return whether a coefficient may vary by a law over a source."""
+    return (
+        COEFFICIENT in law.domains
+        and (not law.absolute or source.unit == "K")
+        and (not law.signed or source.signed)
+        and (not law.memory or (source.near and source.text != TIME))
+    )
 
 
 def _trials(law: Law, source: Source, duration: float) -> Iterator[dict[str, float]]:
