@@ -152,7 +152,7 @@ def new_campaign(
         target,
         _toml(folder, source or fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away),
     )
-    unlooked = not_looked_for(load_campaign(folder), load_simulator)
+    unlooked = not_looked_for(load_campaign(folder), load_simulator, runner)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)), unlooked)
 
 

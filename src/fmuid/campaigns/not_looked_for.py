@@ -13,6 +13,7 @@ from fmu_build.syntax import walk
 from fmuid.core.campaign import Campaign, ModelSpec
 from fmuid.core.errors import FmuidError
 from fmuid.identification.problem.cases import Case, from_campaign
+from fmuid.simulation.runners import Runner, in_process, simulated
 from fmuid.simulation.simulator import Simulator
 
 _ONE_SIDED = 0.05  # of the largest absolute value: how far noise may reach to the other side
@@ -41,13 +42,17 @@ class NotLookedFor:
         return f"not looked for: {self.what} ({self.why}); {self.fix}"
 
 
-def not_looked_for(campaign: Campaign, load: Callable[[ModelSpec], Simulator]) -> tuple[NotLookedFor, ...]:
+def not_looked_for(
+    campaign: Campaign, load: Callable[[ModelSpec], Simulator], runner: Runner = in_process
+) -> tuple[NotLookedFor, ...]:
     """Return the data of a campaign that a diagnosis does not examine.
 
     Parameters
     ----------
     load
         Loads the model of a setup.
+    runner
+        Runner of the simulations; this process by default.
     """
     found: list[NotLookedFor] = []
     for setup, spec in campaign.models.items():
@@ -60,7 +65,7 @@ def not_looked_for(campaign: Campaign, load: Callable[[ModelSpec], Simulator]) -
 
             found += inside(flat_model(spec.source))
         (case, *_) = from_campaign(campaign, runs[:1], (), {setup: simulator})
-        found += _signs(case, campaign)
+        found += _signs(case, campaign, runner)
     return tuple(dict.fromkeys(found))
 
 
@@ -81,12 +86,11 @@ def inside(flat: FlatModel) -> list[NotLookedFor]:
     return [NotLookedFor("effects inside the model", why, fix)]
 
 
-def _signs(case: Case, campaign: Campaign) -> list[NotLookedFor]:
+def _signs(case: Case, campaign: Campaign, runner: Runner) -> list[NotLookedFor]:
     """Return outputs that never change sign although the model's do."""
     try:
-        predicted = case.sensed(
-            case.simulator.simulate(case.task, case.start_values(campaign.start_values)), campaign.start_values
-        )
+        outcome = simulated(runner, case.simulator, case.task, case.start_values(campaign.start_values))
+        predicted = case.sensed(outcome, campaign.start_values)
     except FmuidError:
         return []
     found = []

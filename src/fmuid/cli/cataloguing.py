@@ -109,4 +109,4 @@ def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]
     found: dict[str, list[str]] = {}
     for name, effect in tomllib.loads(text)["effects"].items():
         found.setdefault(effect["port"], []).append(name.partition("@")[0])
-    return text, found, not_looked_for(campaign, load_simulator)
+    return text, found, not_looked_for(campaign, load_simulator, runner)
