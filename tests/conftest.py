@@ -12,6 +12,7 @@ from unittest import mock
 
 import pytest
 
+from fmu_build.front.standard_folders import standard_folders
 from fmuid.core.campaign import ModelSource
 from fmuid.diagnosis.variants import carrier
 from fmuid.simulation.model_source import flat_model
@@ -20,7 +21,8 @@ from tests.every_law import every_law
 ROOT = Path(__file__).parents[1]
 FMUS = ROOT / "build" / "fmus"  # where `make fmus` puts them too
 MODELICA = ROOT / "modelica"
-os.environ["MODELICAPATH"] = ""  # no tool's libraries
+LIBRARY_FOLDERS = standard_folders()
+os.environ["MODELICAPATH"] = ""  # tests ask for a tool's libraries explicitly
 os.environ["FMU_BUILD_CFLAGS"] = "-O0"  # most FMUs of tests take longer to compile than to simulate
 ACTUATOR = ("FixedShaft", "FreeShaft", "EccentricLoad")
 SETUPS = (*ACTUATOR, "LinearAxisOpenLoop", "LinearAxisClosedLoop")

@@ -9,6 +9,7 @@ import pytest
 
 from fmu_build import compile_modelica
 from fmu_build.errors import ModelicaError
+from tests.conftest import LIBRARY_FOLDERS, MODELICA
 from tests.fmu_build.simulate import Instance, states
 
 # Plane frames: a position and a redundant orientation (cosine and sine of the angle).
@@ -113,3 +114,22 @@ def test_a_connection_is_broken_where_frames_form_a_loop(tmp_path: Path) -> None
 def test_wrong_graphs_are_refused(tmp_path: Path, model: str, message: str) -> None:
     with pytest.raises(ModelicaError, match=message):
         compiled(tmp_path, f"  model M inner World world; {model} end M;\n")
+
+
+def test_the_eccentric_load_of_multibody_equals_the_torque_of_its_weight() -> None:
+    if not any((folder / "Modelica" / "package.mo").is_file() for folder in LIBRARY_FOLDERS):
+        pytest.skip("no Modelica Standard Library in MODELICAPATH or a tool's folder")
+    plain, body = (
+        Instance.of(
+            compile_modelica(
+                MODELICA / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", LIBRARY_FOLDERS
+            )
+        )
+        for name in ("EccentricLoad", "EccentricLoadMultiBody")
+    )
+    names = [name.replace("bearing.", "load.") for name in states(body.model)]
+    order = [states(plain.model).index(name) for name in names]
+    for seed in range(5):
+        x = np.random.default_rng(seed).normal(size=len(order))
+        expected = plain.derivative(0.0, x, [1.0])[order]
+        np.testing.assert_allclose(body.derivative(0.0, x[order], [1.0]), expected, rtol=1e-6)
