@@ -168,6 +168,8 @@ class Evaluator:
             raise
         except (TypeError, ValueError, IndexError, KeyError, ArithmeticError) as error:
             what = error.args[0] if error.args else error
+            if isinstance(error, TypeError):
+                what = f"{what} ({_shown(node)})"
             if isinstance(error, KeyError):
                 what = f"there is no variable '{what}'"
             if isinstance(error, IndexError):
@@ -481,6 +483,15 @@ class Evaluator:
 
 
 _SPECIAL = {"noEvent", "smooth", "homotopy", "size", "pre", "edge", "change"}
+
+
+def _shown(node: Expression) -> str:
+    """Say which part of the source an error is about."""
+    if isinstance(node, Call):
+        return f"an argument of {node.function}()"
+    if isinstance(node, Binary | Unary):
+        return f"an operand of '{node.operator}'"
+    return f"'{node.name}'" if isinstance(node, Reference) else type(node).__name__.lower()
 
 
 def place_of(node: Any) -> Place | None:

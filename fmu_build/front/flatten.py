@@ -141,7 +141,7 @@ class _Flattener:
         for instance in self.tree:
             for base in instance.all_bases():
                 self._sections(base)
-        flows = [v for v in self.order if v.flow and (v.connector or v.owner.is_kind("connector"))]
+        flows = [v for v in self.order if v.flow and (v.connector or _in_connector(v.owner))]
         equations = [*self.sink.equations, *connections.equations, *connections.balances(flows)]
         variables = {v.name: self._variable(v) for v in self.order}
         components = {i.path or "": self._component(i) for i in self.tree}
@@ -603,6 +603,13 @@ def _left(equation: Equation) -> Any:
     if isinstance(left, Reference):
         return _bare(left)
     return None
+
+
+def _in_connector(owner: Instance | None) -> bool:
+    """Whether a component is a connector or a record in one."""
+    while owner is not None and owner.is_kind("record", "operator record"):
+        owner = owner.owner.root if owner.owner is not None else None
+    return owner is not None and owner.is_kind("connector")
 
 
 def _level(mod: Mod | None) -> int | None:

@@ -209,7 +209,7 @@ class Resolver:
             if component.subscripts:
                 single = self.world.instantiate(ref, slot.mod, path, root)
             return self._var(root, path, slot, single, ref)
-        if component.prefixes & {"flow", "stream"}:
+        if component.prefixes & {"flow", "stream"} and not single.is_kind("record", "operator record"):
             raise ModelicaError(
                 f"'{path}' has the prefix flow or stream, but is not a variable", where=component.at
             )
@@ -303,8 +303,8 @@ class Resolver:
         # a constant of a package is a number wherever it is used
         variable = Var(
             path, slot, root, type_name, ref.definition.path, literals, (), attributes,
-            known[0] if known else "continuous", direction, "flow" in component.prefixes,
-            "stream" in component.prefixes, root.final or component.final or attributes.final,
+            known[0] if known else "continuous", direction, "flow" in prefixes,
+            "stream" in prefixes, root.final or component.final or attributes.final,
             protected, ref.definition.path if is_connector else None, evaluated,
         )  # fmt: skip
         if root.path is not None:
@@ -1051,10 +1051,12 @@ class Resolver:
         inputs: list[Formal] = []
         outputs: list[Formal] = []
         inner: list[Formal] = []
-        for component, _, formal in self._formals(instance):
-            target = (
-                inputs if "input" in component.prefixes else outputs if "output" in component.prefixes else inner
-            )
+        for component, slot, formal in self._formals(instance):
+            prefixes = component.prefixes | self._prefixes_of_type(slot)
+            target = inputs if "input" in prefixes else outputs if "output" in prefixes else inner
+            if target is inner and not component.protected and not prefixes & {"constant", "parameter"}:
+                what = f"'{formal.name}' in a function must be an input, an output or protected"
+                raise ModelicaError(what, where=component.at)
             target.append(formal)
         # a function that calls itself needs its own arguments
         self.functions[key] = Function(key, instance.definition.at, tuple(inputs), tuple(outputs), (), ())
@@ -1081,6 +1083,12 @@ class Resolver:
         return Function(
             key, instance.definition.at, tuple(inputs), tuple(outputs), tuple(inner), body, external, False, pure
         )
+
+    def _prefixes_of_type(self, slot: Slot) -> frozenset[str]:
+        """Prefixes in the definition of a component's type, as in ``type T = input Real``."""
+        assert isinstance(slot.element, ComponentDef)
+        short = self.world.find_class(slot.scope, slot.element.type).definition.short
+        return short.prefixes if short is not None else frozenset()
 
     def _constructor(self, key: str, instance: Instance) -> Function:
         instance.function = True

@@ -64,11 +64,6 @@ def _check_member(kind: str, element: ComponentDef | ClassDef | Extends) -> None
 
 def _check_function(definition: ClassDef) -> None:
     components = [e for e in definition.elements if isinstance(e, ComponentDef)]
-    for component in components:
-        if not component.protected and not component.prefixes & {"input", "output", "constant", "parameter"}:
-            raise ModelicaError(
-                f"'{component.name}' in a function must be an input, an output or protected", where=component.at
-            )
     for section in definition.sections:
         if section.initial:
             raise ModelicaError("a function has no initial algorithm", where=section.at)

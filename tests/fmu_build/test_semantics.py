@@ -141,6 +141,24 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         {"b[1,1]": 37, "b[1,2]": 54, "b[2,1]": 81, "b[2,2]": 118, "c[1,1]": 1, "c[1,2]": 0, "d[1,1,2]": 3,
          "d[1,2,1]": 2, "e[2,1]": 3, "s": 1, "t": 0},
     ),
+    "flows of record type": (
+        """
+        record C Real re; Real im; end C;
+        connector Pin C v; flow C i; end Pin;
+        model Z Pin p; parameter C y = C(1, 2); equation p.i.re = y.re*p.v.re; p.i.im = y.im*p.v.im; end Z;
+        model U Pin p; equation p.v.re = 3; p.v.im = 4; end U;
+        model M Z a; Z b; U u; Pin loose; equation connect(u.p, a.p); connect(u.p, b.p); loose.v.re = 1; loose.v.im = 2; end M;
+        """,
+        {"u.p.i.re": -6, "u.p.i.im": -16, "loose.i.re": 0},
+    ),
+    "types with a direction in functions": (
+        """
+        type In = input Real; type Out = output Real;
+        function f In u; Out y; algorithm y := 2*u; end f;
+        model M Real x = f(3); end M;
+        """,
+        {"x": 6},
+    ),
     "arrays": (
         """
         model El parameter Real k = 1; Real y = k; end El;
