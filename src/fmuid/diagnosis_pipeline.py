@@ -17,7 +17,7 @@ from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
-from fmuid.diagnosis.calibration import Calibration
+from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
@@ -62,7 +62,7 @@ def diagnose(
     memory_limit: int | None = None,
     say: Say = quiet,
     seed: int = 0,
-    calibrate: int = 0,
+    rehearse: int = 0,
     law: bool = True,
 ) -> Found:
     """Locate the gap between model and measurements, and name the unmodelled effect that causes it.
@@ -97,10 +97,11 @@ def diagnose(
         Called with the current task and the fraction done (0 to 1).
     seed
         Seed of the null distribution and the bootstrap.
-    calibrate
-        Number of plants to simulate from the fitted model and its noise and to diagnose first, so that the
-        probabilities are calibrated for this model and set-up. The calibration is stored in the user's cache and
-        reused; the default is the calibration shipped with the package.
+    rehearse
+        Number of plants with known effects to simulate from the fitted model, with inputs, repeats and noise of
+        the measurements, and to diagnose first. The result lists which were found, and the probabilities are
+        calibrated on them. The calibration is stored in the user's cache and reused; the default is the one that
+        is shipped with the package.
     law
         Whether to look for an equation where the verdict leaves more than noise.
 
@@ -112,14 +113,14 @@ def diagnose(
     Raises
     ------
     CampaignError
-        The catalogue does not fit the campaign, or calibration is requested without repeated runs.
+        The catalogue does not fit the campaign, or a rehearsal is requested of runs that are cut into segments.
     JournalError
         `out` contains an interrupted diagnosis and `resume` is False, or a complete one and `resume` is True.
     SimulationError
         The nominal model cannot be simulated at its start values, or no plant for the calibration can.
     """
-    if calibrate < 0:
-        raise ValueError(f"calibrate must not be negative, but is {calibrate}")
+    if rehearse < 0:
+        raise ValueError(f"rehearse must not be negative, but is {rehearse}")
     campaign = campaign_from(campaign, start)
     from fmuid.simulation.coupled.loading import load_simulator
 
@@ -144,8 +145,9 @@ def diagnose(
         campaign = with_catalogue(campaign, load_simulator, runner=runner)
         subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
         key = calibration.key_of(_files(campaign, subject), subject)
-        if calibrate:
-            calibration.keep(key, _calibrated(subject, calibrate, seed, say))
+        rehearsal = _rehearsed(subject, rehearse, seed, say) if rehearse else []
+        if rehearse:
+            calibration.keep(key, calibration.fit_curves(rehearsal, "of this model, noise and set-up"))
         found = diagnose_subject(subject, say=say, seed=seed, calibration=calibration.kept(key))
         if (retimed := with_timing_of_log(campaign, found, runner)) is not None:
             campaign, note = retimed
@@ -157,6 +159,7 @@ def diagnose(
             found = replace(found, diagnosis=replace(found.diagnosis, law_found=discovery.found))
         say("comparing machines", 0.968)
         found = replace(found, diagnosis=replace(found.diagnosis, machines=_machines(found)))
+        found = replace(found, rehearsal=tuple(rehearsal))
         if folder is not None:
             say("drawing", 0.97)
             _write(found, campaign, folder, seed, None if discovery is None else discovery.best)
@@ -200,18 +203,13 @@ def recorded_in(folder: Path, *, resume: bool) -> RecordedSimulations:
     return RecordedSimulations(folder / JOURNAL, resume=resume, complete=(folder / FILE_NAME).exists())
 
 
-def _calibrated(subject: Subject, count: int, seed: int, say: Say) -> Calibration:
+def _rehearsed(subject: Subject, count: int, seed: int, say: Say) -> list[Trial]:
+    """Diagnose plants simulated from the fitted model, with inputs, repeats and noise of the measurements."""
     if subject.observed.nuisances:
         raise CampaignError(
             "runs are cut into segments, which start from measurements, and simulated plants have none",
-            where="calibrate",
-            fix="omit calibrate",
-        )
-    if subject.observed.bounded:
-        raise CampaignError(
-            "runs were not repeated, so there is no measured noise for simulated plants",
-            where="calibrate",
-            fix="omit calibrate, or repeat runs",
+            where="rehearse",
+            fix="omit rehearse",
         )
     unmapped = Calibration()
     first = diagnose_subject(subject, seed=seed, calibration=unmapped)
@@ -220,10 +218,7 @@ def _calibrated(subject: Subject, count: int, seed: int, say: Say) -> Calibratio
         found = diagnose_subject(plant, seed=seed, calibration=unmapped).diagnosis
         return found.verdict, {a.effects: a.probability for a in found.answers}
 
-    trials = calibration.calibrate(
-        subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, say=say
-    )
-    return calibration.fit_curves(trials, "of this model, noise and set-up")
+    return calibration.calibrate(subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, say=say)
 
 
 def _files(campaign: Campaign, subject: Subject) -> list[Path]:
@@ -252,6 +247,8 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
         law = found.diagnosis.law_found
         named = [*law.beside, law.id] if law is not None and law.id else _into_the_model(found).effects
         answer["corrected"] = list(named)
+    if found.rehearsal:
+        answer["rehearsal"] = [trial.to_dict() for trial in found.rehearsal]
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
     answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))

@@ -60,7 +60,7 @@ def test_a_few_trials_change_little():
 def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted):
     subject, fit, paths = fitted
     truths = []
-    for made, truth in simulated_plants(subject, fit, paths, 20, seed=1):
+    for made, truth, _ in simulated_plants(subject, fit, paths, 20, seed=1):
         truths.append(truth)
         assert truth <= {*EFFECTS, "none", "unknown"}
         noise = made.observed.noise["bench"].sigma
@@ -73,6 +73,16 @@ def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted
             assert nominal.gap > 0.25
     assert sum(t == {"none"} for t in truths) == 5
     assert any(len(t) == 2 for t in truths)
+
+
+def test_plants_of_single_runs_are_as_noisy_as_the_diagnosis_assumes():
+    subject = plant({}, repeats=1)
+    nominal = fit_effects(subject, (), [{}])
+    made = next(
+        iter(simulated_plants(subject, nominal.fit, trajectories(subject.model, nominal.fit.values, REGIMES), 1))
+    )
+    assumed, simulated = (s.observed.noise["bench"].sigma["v"] for s in (subject, made.subject))
+    assert simulated == pytest.approx(assumed, rel=0.35)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])

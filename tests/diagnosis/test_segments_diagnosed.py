@@ -160,7 +160,7 @@ def test_a_complete_model_of_a_plant_that_runs_away_is_called_complete(held, tmp
     with pytest.raises(CampaignError, match="cut into segments"):
         design_for_diagnosis(campaign, found.subject, [])
     with pytest.raises(CampaignError, match="cut into segments"):
-        fmuid.diagnose(campaign, calibrate=1)
+        fmuid.diagnose(campaign, rehearse=1)
 
 
 def test_friction_that_the_model_lacks_is_named_and_the_corrected_model_predicts_other_runs(

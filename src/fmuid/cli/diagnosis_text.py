@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fmuid.cli.output import Printer
@@ -19,6 +19,26 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
         printer.say(line)
     header, *rows = likeliest(diagnosis)
     printer.say("")
+    printer.table(header, rows)
+    if diagnosis.get("rehearsal"):
+        _print_rehearsal(diagnosis["rehearsal"], printer)
+
+
+def _print_rehearsal(rehearsal: Sequence[Mapping[str, Any]], printer: Printer) -> None:
+    """Print which known effects were found in simulated plants with logs like the campaign's."""
+    found = sum(trial["right"] for trial in rehearsal)
+    printer.say(f"\nrehearsal: {found} of {len(rehearsal)} simulated plants with logs like yours diagnosed right")
+    header = ["effect of the plant", "gap, floors", "verdict", "named", "right"]
+    rows = [
+        [
+            " and ".join(trial["truth"]),
+            f"{trial['gap']:.1f}",
+            trial["verdict"],
+            ", ".join(trial["named"]),
+            "yes" if trial["right"] else "no",
+        ]
+        for trial in sorted(rehearsal, key=lambda t: (t["truth"], t["gap"]))
+    ]
     printer.table(header, rows)
 
 

@@ -205,12 +205,13 @@ def diagnose(
     time_limit: TimeLimit = None,
     memory_limit: MemoryLimit = None,
     seed: Annotated[int, typer.Option(help="Seed of the null distribution and the bootstrap.")] = 0,
-    calibrate: Annotated[
+    rehearse: Annotated[
         int,
         typer.Option(
             min=0,
             help=(
-                "First calibrate probabilities on this many plants simulated from the fitted model and its noise."
+                "First diagnose this many plants with known effects, simulated from the fitted model with logs "
+                "like yours, and list which effects a diagnosis of this campaign can find."
             ),
         ),
     ] = 0,
@@ -239,7 +240,7 @@ def diagnose(
     printer = Printer(quiet, json)
     asked: dict[str, Any] = {"--from": from_, "--experiment": experiment, "--measurements": measurements}
     asked |= {"--seed": seed}
-    asked |= {"--calibrate": calibrate, "--no-law": not law, "--trust": trust}
+    asked |= {"--rehearse": rehearse, "--no-law": not law, "--trust": trust}
     again = _again("diagnose", campaign, folder, asked)
     with (
         _told_how_to_go_on(folder / JOURNAL, again, printer),
@@ -257,7 +258,7 @@ def diagnose(
             memory_limit=in_bytes(memory_limit),
             say=lambda what, share: shown(share, what),
             seed=seed,
-            calibrate=calibrate,
+            rehearse=rehearse,
             law=law,
         )
     answer = answer_of(found, loaded)

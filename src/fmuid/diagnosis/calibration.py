@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -26,6 +26,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.files import user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
+from fmuid.data.noise.spectrum import whitener
 from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.observed import Observed
@@ -48,11 +49,40 @@ _EDGE = 1e-3  # probabilities are kept this far from 0 and 1
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Outcome for one simulated plant: the verdict's kind, the weight of its answers, and whether one is true."""
+    """Outcome for one simulated plant: the verdict's kind, the weight of its answers, and whether one is true.
+
+    Attributes
+    ----------
+    truth, gap
+        True answer of the plant and the gap that it leaves, in noise floors.
+    named
+        Effects of the verdict; those that it leaves open follow.
+    """
 
     kind: str
     weight: float
     right: bool
+    truth: tuple[str, ...] = ()
+    gap: float = 0.0
+    named: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON value."""
+        return {
+            "truth": list(self.truth),
+            "gap": self.gap,
+            "verdict": self.kind,
+            "named": list(self.named),
+            "right": self.right,
+        }
+
+
+class Plant(NamedTuple):
+    """A simulated plant: its recordings, its true answer, and the gap that it leaves, in noise floors."""
+
+    subject: Subject
+    truth: frozenset[str]
+    gap: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +163,7 @@ def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
 
 def simulated_plants(
     subject: Subject, fit: Refit, paths: Mapping[str, tuple[FloatArray, ...]], count: int, *, seed: int = 0
-) -> Iterator[tuple[Subject, frozenset[str]]]:
+) -> Iterator[Plant]:
     """Make plants from the refitted nominal model, each with its true answer.
 
     Parameters
@@ -179,8 +209,8 @@ class _Maker:
     paths: Mapping[str, tuple[FloatArray, ...]]
     rng: np.random.Generator
 
-    def plant(self, kind: str) -> tuple[Subject, frozenset[str]] | None:
-        """Return a plant and the names of its true answer; None if it cannot be simulated."""
+    def plant(self, kind: str) -> Plant | None:
+        """Return a plant; None if it cannot be simulated."""
         values, truth = dict(self.fit.values), frozenset({"none"})
         drive: dict[str, list[FloatArray]] = {}
         size = float(self.rng.choice(GAPS))
@@ -194,7 +224,9 @@ class _Maker:
             drive = self._function(_MISMATCH * size if kind == "shape" else size)
             truth = truth if kind == "shape" else frozenset({"unknown"})
         (prediction,) = self.subject.model.predict_driven(values, [drive])
-        return None if isinstance(prediction, SimulationError) else (self._measured(prediction), truth)
+        if isinstance(prediction, SimulationError):
+            return None
+        return Plant(self._measured(prediction), truth, self._gap(prediction))
 
     def _gap(self, prediction: Prediction) -> float:
         observed = self.subject.observed
@@ -232,15 +264,27 @@ class _Maker:
         return {str(port.input): [np.asarray(factor * f) for f in shape]}
 
     def _measured(self, prediction: Prediction) -> Subject:
-        """Return the subject with its runs replaced by the prediction, with noise like that of the repeats."""
+        """Return the subject with its runs replaced by the prediction, with noise like that of the measurements.
+
+        The noise is mixed from the differences between repeats. Runs without repeats get noise of the variance
+        that the diagnosis assumes in each band.
+        """
         cases = []
         for case, run, clean in zip(self.subject.model.cases, self.subject.observed.runs, prediction, strict=True):
             repeats = run.n_repeats
-            deviation = real_spectrum(run.deviations)
-            # Mixed anew at every frequency: with only a few differences, the runs would otherwise be too much
-            # alike.
-            mix = self.rng.standard_normal((repeats, *deviation.shape[::2])) / np.sqrt(max(repeats - 1, 1))
-            values = clean + from_real_spectrum(np.einsum("rkn,kcn->rcn", mix, deviation))
+            if repeats == 1:
+                assumed = whitener(run, self.subject.observed.noise[run.setup])
+                noise = self.rng.standard_normal((1, *clean.shape))
+                noise[0, :, 0] /= assumed.mean_scale
+                for band, factor in zip(assumed.bands, assumed.factors, strict=True):
+                    noise[0][:, band] = np.linalg.solve(factor, noise[0][:, band])
+            else:
+                deviation = real_spectrum(run.deviations)
+                # Mixed anew at every frequency: with only a few differences, the runs would otherwise be too much
+                # alike.
+                mix = self.rng.standard_normal((repeats, *deviation.shape[::2])) / np.sqrt(repeats - 1)
+                noise = np.einsum("rkn,kcn->rcn", mix, deviation)
+            values = clean + from_real_spectrum(noise)
             channels = tuple(replace(c, repeats=values[:, k]) for k, c in enumerate(case.channels))
             cases.append(replace(case, channels=channels))
         model = replace(self.subject.model, cases=tuple(cases))
@@ -259,7 +303,7 @@ def shipped() -> Calibration:
     """
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
-        "of four rigs, the default (for repeated runs, --calibrate 60 makes them from this model and its noise)",
+        "of four rigs, the default (--rehearse 60 makes them from this model and its noise)",
     )
 
 
@@ -302,8 +346,10 @@ def calibrate(
 ) -> list[Trial]:
     """Diagnose `count` simulated plants; `diagnose` returns a verdict and uncalibrated probabilities."""
     trials = []
-    for k, (plant, truth) in enumerate(simulated_plants(subject, fit, paths, count, seed=seed)):
-        say(f"calibrating on simulated plant {k + 1} of {count}", k / count)
+    for k, (plant, truth, gap) in enumerate(simulated_plants(subject, fit, paths, count, seed=seed)):
+        say(f"rehearsing on simulated plant {k + 1} of {count}", k / count)
         verdict, probability = diagnose(plant)
-        trials.append(Trial(verdict.kind, says(verdict, probability), is_true(verdict, truth)))
+        named = tuple(dict.fromkeys([*verdict.effects, *(n for names in verdict.one_of for n in names)]))
+        weight, right = says(verdict, probability), is_true(verdict, truth)
+        trials.append(Trial(verdict.kind, weight, right, tuple(sorted(truth)), gap, named))
     return trials

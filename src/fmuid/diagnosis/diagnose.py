@@ -12,7 +12,7 @@ from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.calibration import Calibration, says, shipped
+from fmuid.diagnosis.calibration import Calibration, Trial, says, shipped
 from fmuid.diagnosis.candidates import (
     Fitted,
     better_nominal,
@@ -64,7 +64,8 @@ class Found:
     """A diagnosis with the data for its figures.
 
     `best` is the model that fits best, named or not; `surviving` are the named answers, the best first. `entered`
-    is what courses over time explain at the ports, if that was asked.
+    is what courses over time explain at the ports, if that was asked. `rehearsal` lists the simulated plants that
+    were diagnosed before.
     """
 
     diagnosis: Diagnosis
@@ -77,6 +78,7 @@ class Found:
     entered: Mapping[str, Entry]
     excess: ExcessMap
     paths: Mapping[str, tuple[FloatArray, ...]]
+    rehearsal: tuple[Trial, ...] = ()
 
     @property
     def corrected(self) -> Fitted:
