@@ -6,7 +6,7 @@ The stepper is plain C without Python's headers, loaded by ctypes: one build ser
 from setuptools import Extension, setup
 
 FOLDER = "src/fmuid/simulation"
-SOURCES = ("stepper.c", "model_exchange.c", "coupled/master.c")
+SOURCES = ("stepper.c", "model_exchange.c", "no_laws.c", "coupled/master.c")
 EXPORTED = ("run", "run_coupled", "plan_size", "clear_log", "read_log", "log_fmi2", "log_fmi3", "reads_after")
 
 setup(
@@ -18,6 +18,15 @@ setup(
             # Contraction to fused multiply-adds would make the results depend on the machine.
             extra_compile_args=["-std=c11", "-O2", "-ffp-contract=off"],
             export_symbols=[f"fmuid_{name}" for name in EXPORTED],
+            py_limited_api=True,
+        ),
+        Extension(  # of FMUs with laws: see fmu_with_laws.py
+            "fmuid.simulation._fmu_with_laws",
+            [f"{FOLDER}/{name}" for name in ("fmu_with_laws.c", "laws.c", "stepper.c", "model_exchange.c")],
+            depends=[f"{FOLDER}/stepper.h", f"{FOLDER}/laws.h"],
+            # Its functions must be its own, whatever else the process has loaded.
+            extra_compile_args=["-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden"],
+            export_symbols=["fmi2Instantiate"],
             py_limited_api=True,
         ),
         Extension(  # the FMU of `fmuid demo`

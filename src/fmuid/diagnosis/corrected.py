@@ -17,6 +17,7 @@ from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
 from fmuid.core.files import path_from, write_atomically
 from fmuid.core.toml_tables import read_toml, toml_document
+from fmuid.diagnosis.state_places import model_exchange, state_of, with_laws
 from fmuid.diagnosis.subject import Subject, carrier
 from fmuid.effects.effect import Effect
 from fmuid.identification.identified_models import start_values, write_models
@@ -100,6 +101,7 @@ class _Document:
         self.raw = read_toml(campaign.file)
         self.notes: list[str] = []
         self.sources: dict[str, tuple[ModelSource, FlatModel]] = {}
+        self.stems: dict[str, str] = {}  # of FMUs with laws at their states
         self.setups = tuple(dict.fromkeys(case.setup for case in subject.model.cases))
 
     def write(self, runner: Runner) -> Corrected:
@@ -111,7 +113,7 @@ class _Document:
         for setup, model in models.items():
             tied = {n: v for n, v in self.values.items() if n not in self.campaign.parameters}
             starts[setup] |= {n: v for n, v in tied.items() if n in model.variables}
-        stems = {setup: _stem(source) for setup, (source, _) in self.sources.items()}
+        stems = self.stems | {setup: _stem(source) for setup, (source, _) in self.sources.items()}
         written = write_models(self.campaign.name, starts, models, self.folder, runner, stems=stems)
         self.notes += written.warnings
         files = [*dict.fromkeys(written.fmus.values()), written.parameters]
@@ -152,6 +154,10 @@ class _Document:
         model = self.campaign.models[setup]
         if model.source is None:
             catalogue = self.subject.catalogue
+            fmu = model_exchange(model)
+            if fmu is not None and any(e.expression and state_of(e.port, fmu.states) for e in self.effects):
+                self.stems[setup] = model.fmu.stem
+                return replace(model, fmu=with_laws(fmu, catalogue, [e for e in self.effects if e.expression])[1])
             if model.coupling is None:
                 return replace(model, fmu=carrier(model.fmu, catalogue))
             parts = {n: carrier(file, catalogue) for n, file in model.coupling.components.items()}
@@ -258,6 +264,8 @@ class _Document:
             new["fmus"] = {n: self._path(file) for n, file in spec.coupling.components.items()}
         else:
             new["fmu"] = fmu.name
+            if spec.interface is None:
+                new.pop("interface", None)
         if spec.source is not None:
             new |= self._source(spec.source)
         at_signals, renamed = list(spec.signal_effects), dict(table.get("map", {}))

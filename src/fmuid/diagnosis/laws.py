@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 
@@ -122,10 +122,20 @@ class Law(Table):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A port with the sizes (P, V, F, ...) of its nominal simulation."""
+    """A port with the sizes (P, V, F, ...) of its nominal simulation.
+
+    Attributes
+    ----------
+    names
+        Of a place at a state of an FMU: the FMU's variables for the names that laws use.
+    owner
+        What the parameters of laws belong to by their names; the port if empty.
+    """
 
     port: Port
     sizes: Mapping[str, float]
+    names: Mapping[str, str] = field(default_factory=dict)
+    owner: str = ""
 
 
 @cache
@@ -166,7 +176,7 @@ class Dependence:
 def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = None) -> list[str]:
     """Return the lines of a catalogue for a law at a place; of a coefficient that varies `over` something."""
     port, sizes = place.port, place.sizes
-    base, id, words = f"{port.name}.{name}", f"{name}@{port.name}", f"{port.name}: {law.words}"
+    base, id, words = f"{place.owner or port.name}.{name}", f"{name}@{port.name}", f"{port.name}: {law.words}"
     if over is not None:
         name = name.partition("_")[0]
         base = f"{port.name.replace(':', '.')}.{name}.{re.sub(r'[^A-Za-z0-9]+', '_', over.name).strip('_')}"
@@ -177,7 +187,7 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         return parse(text, where=f"laws.toml [{name}]")(sizes)
 
     states = {key: f"{base}_{key}" for key in law.states}
-    meant = {**own, **states, **{s: f"{v:.6g}" if over else f"{v:.3g}" for s, v in sizes.items()}}
+    meant = {**place.names, **own, **states, **{s: f"{v:.6g}" if over else f"{v:.3g}" for s, v in sizes.items()}}
     if over is not None:
         meant["x"] = over.text
     expression = _put_in(law.of(port.domain), meant)

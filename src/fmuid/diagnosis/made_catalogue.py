@@ -23,6 +23,7 @@ from fmuid.core.toml_tables import read_toml, toml_document, toml_text
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.diagnosis.laws import SHARES, SIZES, Place, effect_lines, fitting, inline
+from fmuid.diagnosis.state_places import exchanged, observed_states, state_of, state_places, with_laws
 from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import carrier
 from fmuid.diagnosis.varying import varying_lines
@@ -30,6 +31,7 @@ from fmuid.effects.effects_file import load_catalogue
 from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
+from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
@@ -267,7 +269,7 @@ def with_catalogue(
         catalogue = load_catalogue(spec.catalogue)
         if not any(e.expression for e in catalogue.effects.values()):
             return campaign
-        if not setups:
+        if not setups and not exchanged(campaign):
             raise CampaignError(
                 "adds effects to the source of a model, but the campaign names none",
                 where=spec.catalogue,
@@ -282,6 +284,11 @@ def with_catalogue(
         plain = built_model(setup.source)
         carriers[plain.stem] = carrier(setup.source, catalogue).stem
         models[name] = replace(setup.model, fmu=plain)
+    for name, fmu in exchanged(campaign).items():
+        if any(state_of(port, fmu.states) for port in catalogue.ports):
+            plain, with_all = with_laws(fmu, catalogue)
+            carriers[plain.stem] = with_all.stem
+            models[name] = replace(models[name], fmu=plain, interface=None)
     if carriers:
         text = _with_models(text, carriers)
         spec = replace(spec, catalogue=_in_cache(text))
@@ -343,6 +350,7 @@ def made_catalogue(
     held: dict[str, Held] = {}
     recorded: list[RecordedSetup] = []
     fixed = campaign.start_values
+    states = exchanged(campaign)
     nominal = {m.variable(name) for name in _spec(campaign).nominal for m in campaign.models.values()}
     for name in dict.fromkeys(e.setup for e in chosen):
         model = campaign.models[name]
@@ -366,6 +374,8 @@ def made_catalogue(
                 for n, v in simulator.variables.items()
                 if v.causality == "parameter" and v.type in ("Real", "Float64")
             }
+            if name in states:
+                parts += _at_states(states[name], simulated, [c.time for c in cases], simulator)
         given = {model.variable(p.name): p for p in campaign.parameters.values()}
         for parameter, unit in values.items():
             value, spec = _held_value(parameter, simulated, fixed), given.get(parameter)
@@ -396,6 +406,16 @@ def _varying(
     return "\n".join(varying_lines(subject, campaign, flats, tables["ports"]))
 
 
+def _at_states(
+    fmu: Fmu, simulated: CampaignModel, times: Sequence[FloatArray], simulator: Simulator
+) -> list[Place]:
+    """Return the places at the states of an FMU without source."""
+    wanted = [name for name in observed_states(fmu) if name in simulator.variables]
+    courses = [dict(zip(wanted, rows, strict=True)) for rows in simulated.trajectories({}, wanted)]
+    found, _ = state_places(fmu, times, courses)
+    return [Place(p.port, p.sizes, p.names, state_of(p.port.name, fmu.states) or "") for p in found]
+
+
 def _bounds(model: CampaignModel, spec: ParameterSpec) -> tuple[float, float] | None:
     """Return a parameter's bounds in the model's unit; None if they are infinite or do not contain zero."""
     settings = [case.setting[spec.name] for case in model.cases if spec.name in case.setting]
@@ -421,7 +441,7 @@ def _merged(parts: Sequence[Place]) -> list[Place]:
             sizes["N"] = same.sizes["N"]
         elif "N" in place.sizes:
             sizes["N"] = place.sizes["N"]
-        found[place.port.name] = Place(same.port, sizes)
+        found[place.port.name] = Place(same.port, sizes, same.names, same.owner)
     return list(found.values())
 
 

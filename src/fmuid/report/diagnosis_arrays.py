@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.core.errors import SimulationError
+from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.diagnose import Found
@@ -175,11 +175,15 @@ def _law(
     """Return the variable that a law depends on, and its function; None if there is no such variable."""
     if not effect.expression or effect.acts != "flow" or effect.states:
         return None
-    formula = parse(effect.expression.replace("^", "**"))
+    try:
+        formula = parse(effect.expression.replace("^", "**"))
+    except ProblemError:  # it has an `if`, or depends on a derivative
+        return None
     own = {u.name: np.asarray(values[u.name]) for u in effect.unknowns}
     names = sorted(formula.names - own.keys())
     found = [f"{effect.port} {word}" for name in names for word in words_of(name)]
-    regime = next((regimes[name] for name in found if name in regimes), None)
+    at_state = (r.name for r in regimes.values() if r.variable in names)  # laws there use the FMU's names
+    regime = next((regimes[name] for name in (*found, *at_state) if name in regimes), None)
     if len(names) != 1 or regime is None:
         return None
     return regime, lambda x: formula.of_samples({names[0]: x, **own}) * np.ones_like(x)

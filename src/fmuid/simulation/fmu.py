@@ -114,6 +114,11 @@ class Fmu:
         return self._description.tool or "unknown"
 
     @property
+    def description(self) -> FmuDescription:
+        """The model description."""
+        return self._description
+
+    @property
     def token(self) -> str:
         """The FMU's guid (FMI 2.0) or instantiation token (FMI 3.0)."""
         return self._description.token

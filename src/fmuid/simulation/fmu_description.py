@@ -57,13 +57,19 @@ class DescribedVariable:
 
 @dataclass(frozen=True, slots=True)
 class DescribedInterface:
-    """Co-simulation or model exchange as offered by an FMU; `identifier` is the name of its library."""
+    """Co-simulation or model exchange as offered by an FMU; `identifier` is the name of its library.
+
+    `needs_tool` says that the tool that exported it must be installed, and `once` that a process can only
+    instantiate it once.
+    """
 
     identifier: str
     saves_state: bool
     any_step: bool
     interpolates_inputs: bool
     needs_completed_step: bool
+    needs_tool: bool = False
+    once: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +77,10 @@ class FmuDescription:
     """A model description; see `read_description`.
 
     `outputs` maps each output to the inputs on which it depends without delay, None if not stated. `states` are
-    the names of the continuous states, if stated, and `n_states` is their number including all elements. If
-    `starts_settable`, even start values of states that follow from parameters can be set.
-    `default_experiment` contains those of ``start``, ``stop``, ``step`` and ``tolerance`` that are given.
+    the names of the continuous states, if stated, and `derivatives` those of their derivatives; `n_states` is the
+    number of states including all elements. If `starts_settable`, even start
+    values of states that follow from parameters can be set. `default_experiment` contains those of ``start``,
+    ``stop``, ``step`` and ``tolerance`` that are given.
     """
 
     version: str
@@ -86,6 +93,7 @@ class FmuDescription:
     variables: tuple[DescribedVariable, ...]
     outputs: Mapping[str, tuple[str, ...] | None]
     states: tuple[str, ...]
+    derivatives: tuple[str, ...]
     n_states: int
     n_indicators: int
     starts_settable: bool = False
@@ -150,6 +158,7 @@ def read_description(path: Path) -> FmuDescription:
             for e in root.findall(place)
         ),
         states=tuple(_known(known, v.derivative).name for v, _ in found["derivatives"] if v.derivative),
+        derivatives=tuple(v.name for v, _ in found["derivatives"] if v.derivative),
         n_states=sum(math.prod(v.shape) for v, _ in found["derivatives"]),
         n_indicators=(
             int(root.get("numberOfEventIndicators", 0))
@@ -209,6 +218,8 @@ def _interface(element: Element | None, fmi: int) -> DescribedInterface | None:
             if fmi == 2
             else _true(element, "needsCompletedIntegratorStep")
         ),
+        needs_tool=_true(element, "needsExecutionTool"),
+        once=_true(element, "canBeInstantiatedOnlyOncePerProcess"),
     )
 
 

@@ -71,19 +71,23 @@ static int32_t set_inputs(Plan *plan, const Work *w, size_t k, double t)
     return set_values(plan, plan->slope_groups, plan->n_slope_groups, w->input);
 }
 
+/* The FMU's own states come first, those of laws after them. */
+static size_t own_states(const Plan *plan) { return plan->n_states - added_states(plan); }
+
 static int32_t set_point(Plan *plan, const Work *w, size_t k, double t, const double *x)
 {
     CALL(SET_TIME, int32_t (*)(Instance, double), plan->instance, t);
     TRY(set_inputs(plan, w, k, t));
-    if (plan->n_states > 0)
-        CALL(SET_STATES, int32_t (*)(Instance, const double *, size_t), plan->instance, x, plan->n_states);
+    if (own_states(plan) > 0)
+        CALL(SET_STATES, int32_t (*)(Instance, const double *, size_t), plan->instance, x, own_states(plan));
     return DONE;
 }
 
 static int32_t derivatives(Plan *plan, const Work *w, size_t k, double t, const double *x, double *f)
 {
     TRY(set_point(plan, w, k, t, x));
-    CALL(GET_DERIVATIVES, int32_t (*)(Instance, double *, size_t), plan->instance, f, plan->n_states);
+    CALL(GET_DERIVATIVES, int32_t (*)(Instance, double *, size_t), plan->instance, f, own_states(plan));
+    add_laws(plan, w->input, t, x, f);
     return DONE;
 }
 
@@ -127,12 +131,14 @@ static int32_t settle(Plan *plan, const Work *w)
         nominals |= nominals_now;
     }
     CALL(ENTER_CONTINUOUS_TIME_MODE, Plain, c);
-    if (plan->n_states > 0 && (changed || plan->reached < 0))
-        CALL(GET_STATES, int32_t (*)(Instance, double *, size_t), c, w->x, plan->n_states);
+    size_t n = own_states(plan);
+    if (n > 0 && (changed || plan->reached < 0))
+        CALL(GET_STATES, int32_t (*)(Instance, double *, size_t), c, w->x, n);
+    if (plan->reached < 0) start_laws(plan, w->input, plan->time[0], w->x);
     if (plan->n_states > 0 && nominals) {
         for (size_t i = 0; i < plan->n_states; i++) w->nominal[i] = 1;
-        if (plan->function[GET_NOMINALS])
-            CALL(GET_NOMINALS, int32_t (*)(Instance, double *, size_t), c, w->nominal, plan->n_states);
+        if (plan->function[GET_NOMINALS] && n > 0)
+            CALL(GET_NOMINALS, int32_t (*)(Instance, double *, size_t), c, w->nominal, n);
         for (size_t i = 0; i < plan->n_states; i++)
             w->nominal[i] = w->nominal[i] != 0 && isfinite(w->nominal[i]) ? fabs(w->nominal[i]) : 1;
     }
@@ -294,7 +300,7 @@ int32_t feed_back(Plan *plan, size_t k)
         if (isfinite(off))
             for (size_t i = 0; i < plan->n_states; i++) w.x[i] += plan->gain[i * n + j] * off;
     }
-    CALL(SET_STATES, int32_t (*)(Instance, const double *, size_t), plan->instance, w.x, plan->n_states);
+    CALL(SET_STATES, int32_t (*)(Instance, const double *, size_t), plan->instance, w.x, own_states(plan));
     if (plan->n_indicators == 0) return DONE;
     TRY(indicators(plan, w.after));
     if (crossed(plan, &w)) {

@@ -126,4 +126,9 @@ int32_t integrate(Plan *plan, size_t k);
 int32_t act(Plan *plan, size_t k);
 int32_t feed_back(Plan *plan, size_t k);
 
+/* Laws that are added to the derivatives of model exchange (laws.c), or none (no_laws.c). */
+size_t added_states(const Plan *plan); /* of plan->n_states, the last ones */
+void add_laws(const Plan *plan, const double *input, double t, const double *x, double *f);
+void start_laws(const Plan *plan, const double *input, double t, double *x);
+
 #endif

@@ -1,0 +1,55 @@
+/* Laws that are added to the derivatives of an FMU: compiled expressions, evaluated by a stack machine.
+ *
+ * They are written by law_code.py. An expression refers to states, to the derivatives that the FMU gives, to inputs, to the laws'
+ * parameters and to time. A law is active while one of its sizes differs from its neutral value; others cost nothing.
+ */
+#ifndef FMUID_LAWS_H
+#define FMUID_LAWS_H
+
+#include "stepper.h"
+
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+
+/* Operations; mirrored in law_code.py. Those before ADD push a value; JUMP and UNLESS go to an instruction. */
+enum {
+    CONSTANT, STATE, DERIVATIVE, INPUT, PARAMETER, TIME, ADDED_STATE, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, LESS, AT_MOST,
+    EQUAL, AND, OR, MINIMUM, MAXIMUM, ATAN2, NEGATE, NOT, ABS, SIGN, SQRT, EXP, LOG, LOG10, SIN, COS, TAN, ASIN, ACOS, ATAN,
+    SINH, COSH, TANH, JUMP, UNLESS, N_OPERATIONS
+};
+enum { DEEPEST = 64 };
+
+typedef struct { int32_t operation, index; double value; } Instruction;
+typedef struct { size_t n; Instruction *code; } Program;
+typedef struct { size_t target; Program flow; } Term;            /* der(state) -= flow */
+typedef struct { Program derivative, start; size_t place; } Inner; /* a state of a law; its place among the active ones */
+typedef struct {
+    size_t n_sizes, n_terms, n_inner;
+    size_t *size;      /* parameters that turn it on ... */
+    double *neutral;   /* ... and their values at which it is off; without any, it is always on */
+    Term *term;
+    Inner *inner;
+    int active;
+} Law;
+typedef struct {
+    size_t n_laws, n_parameters, n_states;
+    Law *law;
+    double *parameter;
+    double *plain;     /* derivatives of the FMU */
+    size_t *place;     /* of each law's state among the active ones */
+    size_t n_inner;    /* of all laws */
+} Laws;
+
+typedef struct {
+    Plan plan;         /* first, so that a pointer to it leads to the laws */
+    Laws laws;
+    size_t n_added;    /* states of the active laws */
+} PlanWithLaws;
+
+int read_double(FILE *file, double *value);
+int read_laws(Laws *laws, FILE *file, size_t n_states);
+void free_laws(Laws *laws);
+size_t activate_laws(Laws *laws); /* number of states that the active ones have */
+
+#endif

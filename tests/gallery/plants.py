@@ -1,0 +1,181 @@
+"""Model Exchange FMUs written by hand in C (`plants.c`), and rigs that have a law which these models lack."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from fmuid.data.crosscheck_csv import Table, write_csv
+from fmuid.simulation.fmu_description import library_name
+
+SOURCE = Path(__file__).with_name("plants.c")
+Slope = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Names and units of inputs, parameters and states; the slope of the states; inputs and noise of the rig."""
+
+    inputs: Mapping[str, str]
+    parameters: Mapping[str, str]
+    states: Mapping[str, str]
+    nominal: tuple[float, ...]  # of the model, as in plants.c
+    start: tuple[float, ...]
+    values: tuple[float, ...]  # of the rig, near the model's
+    slope: Slope  # of states, inputs and parameters
+    duration: float
+    course: Callable[[np.ndarray, int], np.ndarray]  # (inputs, N) at times, by number of the run
+    noise: tuple[float, ...]
+    measured: tuple[int, ...]
+
+
+def _drive(x, u, p):
+    shaft = p[1] * (x[0] - x[1]) + p[2] * (x[2] - x[3])
+    return np.array([x[2], x[3], (u[0] - shaft) / p[0], shaft / p[3]])
+
+
+def _house(x, u, p):
+    inside = p[1] * (x[0] - x[1])
+    return np.array([(u[0] - inside) / p[0], (inside - p[3] * (x[1] - u[1])) / p[2]])
+
+
+def _circuit(x, u, p):
+    return np.array([(u[0] - p[1] * x[0] - x[1]) / p[0], (x[0] - x[1] / p[3]) / p[2]])
+
+
+def _tank(x, u, p):
+    between = p[2] * np.sqrt(max(x[0], 0.0))
+    return np.array([(u[0] - between) / p[0], (between - p[3] * np.sqrt(max(x[1], 0.0))) / p[1]])
+
+
+def _steps(t, k, every):
+    """A random staircase between -1 and 1."""
+    return np.random.default_rng(k).uniform(-1, 1, 1 + int(t[-1] / every))[(t / every).astype(int)]
+
+
+PLANTS = {
+    "DRIVE": Plant(
+        {"tau": "N.m"}, {"J1": "kg.m2", "c": "N.m/rad", "d": "N.m.s/rad", "J2": "kg.m2"},
+        {"phi1": "rad", "phi2": "rad", "w1": "rad/s", "w2": "rad/s"}, (2e-3, 15.0, 0.02, 5e-3), (0, 0, 0, 0), (2.1e-3, 14.0, 0.022, 5.2e-3), _drive, 2.0,
+        lambda t, k: np.array([0.15 * (_steps(t, k, 0.2) + np.sin((3 + k) * t))]), (0.0, 0.0, 0.02, 0.02), (2, 3),
+    ),
+    "HOUSE": Plant(
+        {"P_heat": "W", "T_out": "K"}, {"C_room": "J/K", "G_wall": "W/K", "C_wall": "J/K", "G_out": "W/K"},
+        {"T_room": "K", "T_wall": "K"}, (2e5, 80.0, 3e6, 40.0), (293.0, 290.0), (2.2e5, 85.0, 2.8e6, 42.0), _house, 2e5,
+        lambda t, k: np.array([700 + 600 * _steps(t, k, 7200.0), 283 + 6 * np.sin(2 * np.pi * t / 86400 + k)]), (0.02, 0.02), (0, 1),
+    ),
+    "CIRCUIT": Plant(
+        {"v_in": "V"}, {"L": "H", "R": "Ohm", "C": "F", "R_load": "Ohm"}, {"i": "A", "v": "V"}, (1e-2, 2.0, 1e-3, 20.0), (0.0, 0.0),
+        (1.1e-2, 2.1, 1.05e-3, 19.0), _circuit, 0.4, lambda t, k: np.array([10 * _steps(t, k, 0.02)]), (0.01, 0.02), (0, 1),
+    ),
+    "TANK": Plant(
+        {"q": "m3/s"}, {"A1": "m2", "A2": "m2", "k1": "m2.5/s", "k2": "m2.5/s"}, {"h1": "m", "h2": "m"}, (0.02, 0.015, 1.2e-3, 1e-3), (0.3, 0.25),
+        (0.021, 0.0145, 1.25e-3, 1.05e-3), _tank, 600.0, lambda t, k: np.array([6e-4 + 3e-4 * _steps(t, k, 40.0)]), (5e-4, 5e-4), (0, 1),
+    ),
+}  # fmt: skip
+
+
+def plant_fmu(name: str, folder: Path, fmi: int = 2) -> Path:
+    """Compile and pack a plant."""
+    plant = PLANTS[name]
+    library = folder / f"{name}{fmi}.so"
+    compiler = shutil.which("cc") or shutil.which("gcc") or ""
+    command = [compiler, "-std=gnu11", "-O1", "-shared", "-fPIC", f"-D{name}", f"-DFMI={fmi}", "-o", str(library)]
+    subprocess.run([*command, str(SOURCE), "-lm"], check=True, capture_output=True, text=True)
+    path = folder / f"{name.title()}{fmi}.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", _description(name, plant, fmi))
+        archive.write(library, f"binaries/{library_name(fmi, name).as_posix()}")
+    return path
+
+
+def _description(name: str, plant: Plant, fmi: int) -> str:
+    known = [(n, u, "input", "continuous") for n, u in plant.inputs.items()]
+    known += [(n, u, "parameter", "fixed") for n, u in plant.parameters.items()]
+    starts = [*([0.0] * len(plant.inputs)), *plant.nominal, *plant.start]
+    rows = [(*row, starts[i], None) for i, row in enumerate(known)]
+    rows += [
+        (n, u, "output", "continuous", starts[len(known) + i], None)
+        for i, (n, u) in enumerate(plant.states.items())
+    ]
+    first = len(known)
+    rows += [(f"der({n})", "", "local", "continuous", None, first + i) for i, n in enumerate(plant.states)]
+    variables = []
+    for i, (n, unit, causality, variability, start, of) in enumerate(rows):
+        inner = (f' unit="{unit}"' if unit else "") + ("" if start is None else f' start="{start!r}"')
+        inner += "" if of is None else f' derivative="{of + 1 if fmi == 2 else of}"'
+        head = f'name="{n}" valueReference="{i}" causality="{causality}" variability="{variability}"'
+        head += ' initial="exact"' if causality == "output" else ""
+        variables.append(
+            f"<ScalarVariable {head}><Real{inner}/></ScalarVariable>" if fmi == 2 else f"<Float64 {head}{inner}/>"
+        )
+    states, slopes = range(first, first + len(plant.states)), range(first + len(plant.states), len(rows))
+    units = "".join(f'<Unit name="{u}"/>' for u in dict.fromkeys(row[1] for row in rows) if u)
+    if fmi == 2:
+        head = f'fmiVersion="2.0" guid="{name}" numberOfEventIndicators="0"'
+        outputs, derivatives = ("".join(f'<Unknown index="{i + 1}"/>' for i in some) for some in (states, slopes))
+        structure = f"<Outputs>{outputs}</Outputs><Derivatives>{derivatives}</Derivatives>"
+    else:
+        head = f'fmiVersion="3.0" instantiationToken="{name}"'
+        variables.append(
+            f'<Float64 name="time" valueReference="{len(rows)}" causality="independent" variability="continuous"/>'
+        )
+        structure = "".join(f'<Output valueReference="{i}"/>' for i in states)
+        structure += "".join(f'<ContinuousStateDerivative valueReference="{i}"/>' for i in slopes)
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription modelName="{name.title()}" {head}>'
+        f'<ModelExchange modelIdentifier="{name}"/><UnitDefinitions>{units}</UnitDefinitions>'
+        f'<DefaultExperiment stopTime="{plant.duration}"/><ModelVariables>{"".join(variables)}</ModelVariables>'
+        f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
+
+
+def write_logs(
+    name: str,
+    lacking: Callable[[np.ndarray], np.ndarray],
+    folder: Path,
+    runs: int = 4,
+    repeats: int = 2,
+    samples: int = 400,
+) -> list[Path]:
+    """Simulate a rig whose slope has `lacking` (of the states) in addition, by SciPy, and write its logs."""
+    plant = PLANTS[name]
+    time = np.linspace(0.0, plant.duration, samples + 1)
+    values = np.array(plant.values)
+    random = np.random.default_rng(7)
+    folder.mkdir(parents=True, exist_ok=True)
+    logs = []
+    for run in range(runs):
+        inputs = plant.course(time, run)
+        x, rows = np.array(plant.start, dtype=float), []
+        for k, t in enumerate(time):
+            rows.append(x)
+            if k + 1 < len(time):
+                u = inputs[:, k]
+                span = (t, time[k + 1])
+                found = solve_ivp(
+                    lambda _, x, u=u: plant.slope(x, u, values) + lacking(x),
+                    span,
+                    x,
+                    "LSODA",
+                    rtol=1e-8,
+                    atol=1e-9,
+                )
+                x = found.y[:, -1]
+        for again in range(repeats):
+            noisy = np.array(rows).T + np.array(plant.noise)[:, None] * random.standard_normal(
+                (len(plant.states), len(time))
+            )
+            names = list(plant.states)
+            columns = dict(zip(plant.inputs, inputs, strict=True)) | {names[i]: noisy[i] for i in plant.measured}
+            units = {**plant.inputs, **plant.states}
+            logs.append(folder / f"run{run}_{again}.csv")
+            write_csv(Table(time, columns, {n: units[n] for n in columns}), logs[-1])
+    return logs

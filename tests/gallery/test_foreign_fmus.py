@@ -1,0 +1,65 @@
+"""FMUs that other hands wrote: init, and a diagnosis that finds the law which they lack, at one of their states."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid import diagnose
+from fmuid.cli.app import run
+from fmuid.simulation.fmu import load_fmu
+from tests.gallery.plants import plant_fmu, write_logs
+from tests.reference.plain_fmpy import simulate_fmu
+
+RIGS = {
+    "DRIVE": (3, lambda x: np.array([0, 0, 0, -0.05 * x[3] * abs(x[3])]), "quadratic@der(w2)"),
+    "HOUSE": (2, lambda x: np.array([-1.0e-4 * (x[0] - 293), 0]), "loss@der(T_room)"),
+    "CIRCUIT": (2, lambda x: np.array([-60 * np.tanh(x[0] / 0.02), 0]), "voltage_drop@der(i)"),
+    "TANK": (3, lambda x: np.array([0, -6e-3 * x[1]]), "leakage@der(h2)"),
+}
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def campaign_of(name: str, folder: Path, **sizes: int) -> Path:
+    fmi, lacking, _ = RIGS[name]
+    fmu = plant_fmu(name, folder, fmi)
+    logs = write_logs(name, lacking, folder / "logs", **sizes)
+    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(folder / "campaign"), "--quiet"]) == 0
+    return folder / "campaign"
+
+
+def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path):
+    campaign = campaign_of("CIRCUIT", tmp_path, runs=3, samples=150)
+    found = diagnose(campaign, out=tmp_path / "out")
+    assert found.diagnosis.verdict.effects == ("voltage_drop@der(i)",)
+    values = found.corrected.fit.values
+    assert values["i.voltage_drop"] == pytest.approx(60, rel=0.02)
+    corrected = load_fmu(tmp_path / "out" / "corrected" / "Circuit2.fmu")
+    assert corrected.interface == "co-simulation"
+    laws = [n for n in corrected.variables if n.startswith("i.")]
+    assert laws == ["i.voltage_drop", "i.voltage_drop_width"]  # and no law that was only tried
+    for case in found.subject.model.cases:
+        fitted = case.simulator.simulate(
+            case.task, {n: v for n, v in values.items() if n in case.simulator.variables}
+        )
+        assert np.ptp(fitted) > 0.1
+        np.testing.assert_array_equal(corrected.simulate(case.task, {}), fitted)
+        tolerance = case.task.tolerance or 1e-6
+        np.testing.assert_allclose(simulate_fmu(corrected.path, case.task, {}, tolerance), fitted, atol=1e-9)
+    assert run(["check", str(tmp_path / "out" / "corrected"), "--quiet"]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["DRIVE", "HOUSE", "TANK"])
+def test_laws_of_every_domain_are_found(tmp_path, name):
+    campaign = campaign_of(name, tmp_path)
+    assert run(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"]["effects"] == [RIGS[name][2]]
