@@ -37,6 +37,7 @@ COMMANDS = [
     "effects",
     "diagnose",
     "sensitivity",
+    "study",
     "design",
     "compare",
     "import",

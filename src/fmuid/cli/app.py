@@ -23,6 +23,7 @@ from fmuid.cli import (
     opening,
     ranking,
     simulating,
+    studying,
 )
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
@@ -47,6 +48,7 @@ app.command("validate")(identification.validate)
 app.command("effects")(cataloguing.effects)
 app.command("diagnose")(identification.diagnose)
 app.command("sensitivity")(ranking.sensitivity)
+app.command("study")(studying.study)
 app.command("design")(designing.design)
 app.command("compare")(comparing.compare)
 app.command("import")(importing.import_)
