@@ -6,7 +6,7 @@ The stepper is plain C without Python's headers, loaded by ctypes: one build ser
 from setuptools import Extension, setup
 
 FOLDER = "src/fmuid/simulation"
-SOURCES = ("stepper.c", "model_exchange.c", "no_laws.c", "coupled/master.c")
+SOURCES = ("stepper.c", "model_exchange.c", "coupled/master.c")
 EXPORTED = ("run", "run_coupled", "plan_size", "clear_log", "read_log", "log_fmi2", "log_fmi3", "reads_after")
 
 setup(
@@ -24,6 +24,7 @@ setup(
             "fmuid.simulation._fmu_with_laws",
             [f"{FOLDER}/{name}" for name in ("fmu_with_laws.c", "laws.c", "stepper.c", "model_exchange.c")],
             depends=[f"{FOLDER}/stepper.h", f"{FOLDER}/laws.h"],
+            define_macros=[("FMUID_WITH_LAWS", "1")],
             # Its functions must be its own, whatever else the process has loaded.
             extra_compile_args=["-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden"],
             export_symbols=["fmi2Instantiate"],

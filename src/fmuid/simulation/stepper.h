@@ -126,9 +126,15 @@ int32_t integrate(Plan *plan, size_t k);
 int32_t act(Plan *plan, size_t k);
 int32_t feed_back(Plan *plan, size_t k);
 
-/* Laws that are added to the derivatives of model exchange (laws.c), or none (no_laws.c). */
+/* Laws that are added to the derivatives of model exchange: laws.c, in the library of FMUs with laws; the stepper has none. */
+#ifdef FMUID_WITH_LAWS
 size_t added_states(const Plan *plan); /* of plan->n_states, the last ones */
 void add_laws(const Plan *plan, const double *input, double t, const double *x, double *f);
 void start_laws(const Plan *plan, const double *input, double t, double *x);
+#else
+#define added_states(plan) ((void)(plan), (size_t)0)
+#define add_laws(plan, input, t, x, f) ((void)0)
+#define start_laws(plan, input, t, x) ((void)0)
+#endif
 
 #endif
