@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from fmuid.diagnosis.laws import numeral
 from fmuid.diagnosis.summary import _lowered
 from fmuid.effects.quantities import quantity_words, words_of
 
@@ -34,3 +35,8 @@ def test_quantities_have_the_words_of_their_domain() -> None:
     assert quantity_words("fluid", "m")["p"] == "level"
     assert {"speed", "rate of temperature", "rate of level"} <= set(words_of("rate"))
     assert words_of("acceleration") == ()
+
+
+def test_negative_numbers_in_expressions_are_in_parentheses() -> None:
+    assert f"x - {numeral(-0.25, 3)}" == "x - (-0.25)"
+    assert f"x - {numeral(0.25, 3)}" == "x - 0.25"

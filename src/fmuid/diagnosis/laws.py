@@ -187,7 +187,8 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         return parse(text, where=f"laws.toml [{name}]")(sizes)
 
     states = {key: f"{base}_{key}" for key in law.states}
-    meant = {**place.names, **own, **states, **{s: f"{v:.6g}" if over else f"{v:.3g}" for s, v in sizes.items()}}
+    numerals = {s: numeral(v, 6 if over else 3) for s, v in sizes.items()}
+    meant = {**place.names, **own, **states, **numerals}
     if over is not None:
         meant["x"] = over.text
     expression = _put_in(law.of(port.domain), meant)
@@ -234,6 +235,11 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items()) + ", natural = true" * p.natural
         lines.append(f"{toml_text(own[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}")
     return [*lines, ""]
+
+
+def numeral(value: float, digits: int) -> str:
+    """Return a number to put into an expression; Modelica has no ``x - -1``."""
+    return f"({value:.{digits}g})" if value < 0.0 else f"{value:.{digits}g}"
 
 
 def _put_in(expression: str, names: Mapping[str, str]) -> str:
