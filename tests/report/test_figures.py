@@ -15,7 +15,7 @@ from fmuid.report.figures import StageHistory, milestones, parallel_criteria_fig
 from fmuid.report.interactive import packed, specification
 from fmuid.report.plots import render, save_data, save_figure, save_figures
 from fmuid.report.plots.draw import canvas_of
-from fmuid.report.plots.figure_data import Axis, LineFigure, Panel, Series, pretty_unit, tables
+from fmuid.report.plots.figure_data import Axis, LineFigure, Panel, Series, Table, pretty_unit, tables
 from fmuid.report.thinning import kept_samples
 
 figures = pytest.mark.parametrize("make", samples.ALL, ids=lambda make: make.__name__)
@@ -259,3 +259,10 @@ def test_a_helper_that_cannot_write_says_so(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(FmuidError, match="cannot be written"):
         save_figures([samples.ranked()] * 4, tmp_path / "file")
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "@sum", "=cmd|' /C calc'!A0"])
+def test_text_that_a_spreadsheet_would_run_is_escaped_in_csv(text):
+    table = Table((text, "value"), ((text, 1.0), ("plain", None)))
+    rows = list(csv.reader(io.StringIO(table.csv())))
+    assert rows == [["'" + text, "value"], ["'" + text, "1"], ["plain", ""]]

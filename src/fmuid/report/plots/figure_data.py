@@ -242,10 +242,10 @@ class Table:
         return self.precise[row] if self.precise and digits == 5 else digits
 
     def csv(self) -> str:
-        """Return the table as CSV (comma, header, nine significant digits, empty where unknown)."""
+        """Return the table as CSV: nine significant digits, empty where unknown, formulas escaped."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.header)
+        writer.writerow([_written(cell) for cell in self.header])
         if self.rows and all(isinstance(cell, float) for row in self.rows for cell in row):
             line = ",".join(["%.9g"] * len(self.header)) + "\n"  # recordings are long: one format per row
             return text.getvalue() + "".join([line % row for row in self.rows]).replace("nan", "")
@@ -312,7 +312,9 @@ def _panel_table(panel: Panel) -> Table:
 def _written(cell: Cell) -> str:
     if cell is None or (isinstance(cell, float) and np.isnan(cell)):
         return ""
-    return f"{cell:.9g}" if isinstance(cell, int | float) else cell
+    if isinstance(cell, int | float):
+        return f"{cell:.9g}"
+    return f"'{cell}" if cell.startswith(("=", "+", "@")) else cell  # spreadsheets would run it as a formula
 
 
 def slug(text: str) -> str:
