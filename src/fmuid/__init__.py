@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from fmuid.data.measurements import read_measurements as read_measurements
     from fmuid.data.measurements import write_measurements as write_measurements
     from fmuid.design_pipeline import design_experiment as design_experiment
+    from fmuid.diagnosis.diagnose import Found as Found
     from fmuid.diagnosis_pipeline import diagnose as diagnose
     from fmuid.identification.history import read_history as read_history
     from fmuid.identification.identify import identify as identify
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from fmuid.identification.uncertainty.sensitivity import sensitivity_of as sensitivity_of
     from fmuid.identification.uncertainty.sobol_morris import GlobalSensitivity as GlobalSensitivity
     from fmuid.identification.uncertainty.sobol_morris import global_sensitivity_of as global_sensitivity_of
+    from fmuid.identification.validate import Validation as Validation
     from fmuid.identification.validate import validate as validate
     from fmuid.sensitivity_pipeline import global_sensitivity as global_sensitivity
     from fmuid.simulation.coupled.loading import couple as couple
@@ -66,6 +68,7 @@ _PUBLIC = {
     "CriterionSpec": "core.campaign",
     "Experiment": "core.experiments",
     "FmuidError": "core.errors",
+    "Found": "diagnosis.diagnose",
     "GlobalSensitivity": "identification.uncertainty.sobol_morris",
     "Master": "core.coupling",
     "Measurements": "core.experiments",
@@ -81,6 +84,7 @@ _PUBLIC = {
     "StopRules": "identification.solvers",
     "Task": "simulation.simulator",
     "TerminalProgress": "identification.terminal_progress",
+    "Validation": "identification.validate",
     "Variable": "simulation.simulator",
     "WorkerPool": "simulation.pool.workers",
     "couple": "simulation.coupled.loading",

@@ -331,6 +331,7 @@ def _write(
         campaign=campaign.title,
         pictures=pictures_of(found),
         model=_drawing(campaign, found),
+        units={n: p.unit for n, p in campaign.parameters.items() if p.unit},
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
     )
     fitted, subject = _into_the_model(found), found.subject

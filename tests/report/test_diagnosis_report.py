@@ -158,7 +158,7 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
     assert [b.label for b in gap_figure(diagnosis).bars] == [
         "nominal model",
         "nominal parameters refitted",
-        "noise floor",
+        "as large as the noise",
     ]
 
 

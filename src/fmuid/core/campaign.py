@@ -11,7 +11,9 @@ import numpy as np
 
 from fmuid.core.coupling import Coupling
 from fmuid.core.experiments import Measurements, Outliers
+from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import frozen_mapping
+from fmuid.core.plottable import Plottable
 
 Interpolation = Literal["hold", "linear"]
 Timing = Literal["held", "linear", "held-read-after", "preceding"]
@@ -394,7 +396,7 @@ class RobotSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class Campaign(Plottable):
     """All data of one identification question, as read by `fmuid.load_campaign`.
 
     Parameters
@@ -457,6 +459,25 @@ class Campaign:
     trusted: bool = False
     file: Path | None = None
     measurements_file: Path | None = None
+
+    def __str__(self) -> str:
+        """Return what the campaign consists of, with its parameters as a table."""
+        return f"{self._summary}\n{text_table(self._cells())}"
+
+    def _repr_html_(self) -> str:
+        return html_lines([self._summary]) + html_table(self._cells())
+
+    @property
+    def _summary(self) -> str:
+        runs = f"{len(self.identification)} runs to identify, {len(self.validation)} to validate"
+        return f"{self.title}: {runs}; stages: {', '.join(self.stages) or 'none'}"
+
+    def _cells(self) -> list[list[str]]:
+        rows = [["parameter", "start", "lower", "upper", "unit", "free"]]
+        for p in self.parameters.values():
+            numbers = [f"{value:.6g}" for value in (p.start, p.lower, p.upper)]
+            rows.append([p.name, *numbers, p.unit or "", "yes" if p.free else "known" if p.known else "no"])
+        return rows
 
     @property
     def start_values(self) -> dict[str, float]:

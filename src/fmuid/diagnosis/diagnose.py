@@ -10,6 +10,7 @@ import numpy as np
 from fmuid.core.errors import SimulationError
 from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
+from fmuid.core.plottable import Plottable
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, Trial, says, shipped
@@ -60,12 +61,33 @@ _TO_THE_END = 1e-9  # share of the cost: a gain of half a squared standard devia
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class Found(Plottable):
     """A diagnosis with the data for its figures.
 
-    `best` is the model that fits best, named or not; `surviving` are the named answers, the best first. `entered`
-    is what courses over time explain at the ports, if that was asked. `rehearsal` lists the simulated plants that
-    were diagnosed before.
+    Parameters
+    ----------
+    diagnosis
+        The answer.
+    subject
+        What was diagnosed: models, runs and effects.
+    nominal
+        The nominal model, refitted.
+    best
+        The model that fits best, named or not.
+    surviving
+        The named answers, the best first.
+    candidates
+        All refitted models.
+    scores
+        Scores of the effects, refitted or not.
+    entered
+        What courses over time explain at the ports, if that was asked.
+    excess
+        Where the residual exceeds the noise.
+    paths
+        Trajectories of the regime variables, by name.
+    rehearsal
+        The simulated plants that were diagnosed before.
     """
 
     diagnosis: Diagnosis

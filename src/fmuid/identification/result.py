@@ -20,6 +20,7 @@ import numpy as np
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.core.formatting import html_lines, html_table, interval_text, text_table
+from fmuid.core.plottable import Plottable
 from fmuid.identification.history import FILE as HISTORY
 from fmuid.identification.history import JOURNAL, StageHistory, read_run
 from fmuid.identification.misfit import Unexplained
@@ -162,7 +163,7 @@ class StageResult:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class Result(Plottable):
     """The outcome of an identification; prints as tables, in a notebook as HTML.
 
     Parameters

@@ -15,6 +15,7 @@ from fmuid.core.experiments import Experiment
 from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
+from fmuid.core.plottable import Plottable
 from fmuid.identification.check import load_models
 from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
 from fmuid.identification.problem.segments import last_stages, observed, segmented
@@ -57,8 +58,8 @@ class RunScore:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Validation:
-    """Scores of every run and signal; prints as a table.
+class Validation(Plottable):
+    """The `scores` of every run and signal; prints as a table.
 
     `cases` and `predictions`, (signals, N) each, are for figures.
     """

@@ -9,12 +9,12 @@ from typing import Any
 
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, UnitError
-from fmuid.core.formatting import interval_text
 from fmuid.core.units import conversion
 from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.result import Result
 from fmuid.report.figures import Overlay
+from fmuid.report.identification_page import estimates_sentence
 from fmuid.simulation.signal_effects import signal_and_property
 
 
@@ -42,17 +42,6 @@ def of_result(result: Result, campaign: Campaign) -> Outcome:
     """Return the outcome of an identification."""
     start = campaign.start_values
     return Outcome(estimates_sentence(result), {"identified": start | result.parameters, "start": start})
-
-
-def estimates_sentence(result: Result, most: int = 6) -> str:
-    """Return the parameters with their 95 % intervals as one sentence."""
-    words = []
-    for estimate in result.estimates[:most]:
-        unit = f" {estimate.unit}" if estimate.unit else ""
-        interval = "" if estimate.interval is None else f" ({interval_text(*estimate.interval)})"
-        words.append(f"{estimate.name} = {estimate.value:.4g}{unit}{interval}")
-    more = len(result.estimates) - most
-    return ", ".join(words) + (f" and {more} more" if more > 0 else "")
 
 
 def of_diagnosis(folder: Path, campaign: Campaign) -> Outcome:

@@ -28,6 +28,7 @@ from fmuid.report.plots.figure_data import (
     Role,
     Series,
     Table,
+    pretty_unit,
 )
 
 _NO_GAP = 0.03  # noise floors: where the logarithmic axis of gaps begins
@@ -129,18 +130,26 @@ def before_and_after(overlays: Sequence[Overlay]) -> LineFigure | None:
     return overlay_figure("before-after", "Before and after", overlays, caption)
 
 
-def parameters_table(diagnosis: Mapping[str, Any]) -> Table | None:
-    """Return every parameter, refitted without and with the missing effects, and its change."""
+def parameters_table(diagnosis: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Table | None:
+    """Return every parameter, refitted without and with the missing effects, and its change; `units` by name."""
     if not named(diagnosis["verdict"]):
         return None
     before, after = diagnosis.get("nominal", {}).get("parameters", {}), diagnosis["model"]["parameters"]
+    known = {**(units or {}), **diagnosis["model"].get("units", {})}
+    errors = dict(diagnosis["model"].get("standard_errors", {}))
+    for effect in diagnosis["effects"]:
+        for name, parameter in effect.get("parameters", {}).items():
+            known.setdefault(name, parameter.get("unit"))
+            if effect["id"] in named(diagnosis["verdict"]):
+                errors.setdefault(name, parameter.get("standard_error"))
     rows: list[tuple[Cell, ...]] = []
     for name, value in after.items():
         old = before.get(name)
-        rows.append((name, old, value, None if not old else 100 * (value - old) / abs(old)))
-    header = ("parameter", "nominal, refitted", "corrected", "change, %")
-    caption = "Missing effects bias the nominal parameters. A dash: a parameter of the effect itself."
-    return Table(header, tuple(rows), "corrected-model", "Parameters that changed", caption, (5, 5, 5, 2))
+        change = None if not old else 100 * (value - old) / abs(old)
+        rows.append((name, pretty_unit(known.get(name) or ""), old, value, errors.get(name), change))
+    header = ("parameter", "unit", "nominal, refitted", "corrected", "standard error", "change, %")
+    caption = "Missing effects bias the nominal parameters. A dash: unknown, or a parameter of the effect itself."
+    return Table(header, tuple(rows), "corrected-model", "Parameters that changed", caption, (5, 5, 5, 5, 2, 2))
 
 
 def machines_table(diagnosis: Mapping[str, Any]) -> Table | None:
@@ -279,12 +288,12 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
     if named(diagnosis["verdict"]):
         bars += [Bar(f"with {names}", left, "alternative") for names, left in (steps or {}).items()]
         bars.append(Bar("corrected", gap["corrected"], "final"))
-    bars.append(Bar("noise floor", 1.0, "floor"))
+    bars.append(Bar("as large as the noise", 1.0, "floor"))
     return BarFigure(
         "gap",
         "From the gap to the noise floor",
         tuple(replace(b, value=max(b.value, _NO_GAP), note=f"{b.value:.3g}") for b in bars),
-        Axis("gap, in multiples of the noise floor", log=True),
+        Axis("gap beyond the noise, in noise floors", log=True),
         caption="Root mean square of the whitened residual beyond the noise, over the signals'"
         f" bandwidth. {_floors(diagnosis)}".rstrip(),
         limits=(_NO_GAP, 2.0 * max(b.value for b in bars)),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fmuid.diagnosis.summary import facts, indistinct, machine_lines
+from fmuid.diagnosis.summary import facts, indistinct, machine_lines, sentences
 from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
 from fmuid.report.document import Document, Drawing, Item, Section, write_document
@@ -25,6 +25,7 @@ def write_diagnosis_report(
     pictures: DiagnosisPictures = _NOTHING,
     model: Drawing | None = None,
     provenance: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
     formats: tuple[Format, ...] = ("png",),
 ) -> Path:
     """Write the report of a diagnosis and return the path of its ``index.html``.
@@ -43,6 +44,8 @@ def write_diagnosis_report(
         The model's components, with the place marked.
     provenance
         Names and values of everything that the result depends on: hashes, versions, commands.
+    units
+        Units of the campaign's parameters, by name.
     formats
         File formats of the figures.
 
@@ -57,7 +60,7 @@ def write_diagnosis_report(
             _present(
                 pictures_of.before_and_after(pictures.overlays),
                 pictures_of.gap_figure(diagnosis, pictures.steps),
-                pictures_of.parameters_table(diagnosis),
+                pictures_of.parameters_table(diagnosis, units),
             ),
             abreast=bool(pictures.overlays),
         ),
@@ -87,7 +90,7 @@ def write_diagnosis_report(
     )
     document = Document(
         f"Diagnosis: {campaign}",
-        "Where simulation and measurement differ, which effect causes it, and how much of the gap it closes.",
+        diagnosis["verdict"].get("text") or " ".join(sentences(diagnosis)),
         facts(diagnosis),
         tuple(s for s in sections if s.items or s.text),
     )

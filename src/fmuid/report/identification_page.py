@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fmuid.core.campaign import Campaign
-from fmuid.core.formatting import Fact, counted, interval_digits
+from fmuid.core.formatting import Fact, interval_digits, interval_text
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import read_history
 from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
@@ -93,7 +93,7 @@ def write_report(
     sections.append(Section("Provenance", (provenance_table(_provenance(result)),)))
     document = Document(
         f"Identification: {result.title or result.campaign}",
-        f"{counted(len(result.estimates), 'parameter')} in {counted(len(result.stages), 'stage')}.",
+        estimates_sentence(result),
         facts(result, validation),
         tuple(s for s in sections if s.items or s.text),
     )
@@ -102,6 +102,16 @@ def write_report(
         progress(_SIMULATED + (1 - _SIMULATED) * share, "drawing")
 
     return write_document(document, folder / "report" if out is None else Path(out), formats, drawing)
+
+
+def estimates_sentence(result: Result, most: int = 6) -> str:
+    """Return the estimates with their 95 % intervals as one sentence."""
+    words = []
+    for e in result.estimates[:most]:
+        interval = "" if e.interval is None else f" ({interval_text(*e.interval)})"
+        words.append(f"{e.name} = {e.value:.4g} {pretty_unit(e.unit or '')}".strip() + interval)
+    more = len(result.estimates) - most
+    return ", ".join(words) + (f" and {more} more" if more > 0 else "") + "."
 
 
 def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:

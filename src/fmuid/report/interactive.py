@@ -64,7 +64,7 @@ def specification(figure: Figure) -> Spec:
         "plot_bgcolor": "rgba(255,255,255,0)",
         "autosize": True,
         "legend": {"orientation": "h", "x": 0, "y": 1.0, "yref": "container", "yanchor": "top"},
-        "hoverlabel": {"font": {"size": 11}},
+        "hoverlabel": {"font": {"size": 12}},
     }
     shared: dict[str, int] = {}
     arrays: list[Spec] = []
@@ -162,7 +162,7 @@ def _marks(layout: Spec, panel: Panel, suffix: str) -> None:
                 "line": {"color": style.GREY, "width": 1, "dash": "dot"},
             }
         )
-        note = _text(text, f"x{suffix}", f"y{suffix}", at_x=position, at_y=1, size=10, domain=False)
+        note = _text(text, f"x{suffix}", f"y{suffix}", at_x=position, at_y=1, size=12, domain=False)
         layout["annotations"].append(note | {"textangle": -90, "yanchor": "bottom", "xanchor": "center"})
 
 
@@ -210,7 +210,7 @@ def _axis(axis: Axis, label: str = "") -> Spec:
         "title": {
             "text": html.escape(label, quote=False).replace("\n", "<br>"),
             "standoff": 6,
-            "font": {"size": 11},
+            "font": {"size": 12},
         },
         "type": "log" if axis.log else "linear",
         "gridcolor": _GRID,
@@ -250,14 +250,14 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
             "hoverongaps": False,
         }
         if figure.values.size <= 150:
-            trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 10}}
+            trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 12}}
         traces.append(trace)
         bare = {"showgrid": False, "zeroline": False, "fixedrange": True}
-        ticks = {"tickvals": list(range(width)), "ticktext": columns, "tickangle": -60, "tickfont": {"size": 10}}
+        ticks = {"tickvals": list(range(width)), "ticktext": columns, "tickangle": -60, "tickfont": {"size": 12}}
         layout[f"xaxis{suffix}"] = ticks | bare | {"anchor": f"y{suffix}", "automargin": True}
         layout[f"yaxis{suffix}"] = bare | {"anchor": f"x{suffix}", "autorange": "reversed", "type": "category"}
         if name:
-            note = _text(name, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=11)
+            note = _text(name, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12)
             layout["annotations"].append(note | {"text": note["text"].replace("\n", "<br>"), "align": "left"})
     wide = _map_places(figure, min(4, len(blocks)))
     layout["narrow"] = _map_places(figure, min(2, len(blocks)))
@@ -294,7 +294,7 @@ def _map_places(figure: MapFigure, columns: int) -> Spec:
     left = 20 + 7 * max(len(r) for r in figure.rows)
     places: Spec = {
         "height": inner + 60 + labels,
-        "margin": {"l": min(left, 150), "r": 10, "t": 60, "b": labels},
+        "margin": {"l": left if columns > 2 else min(left, 150), "r": 10, "t": 60, "b": labels},
     }
     gap = 0.03
     width = (1 - gap * (columns - 1)) / columns
@@ -376,7 +376,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
                     "xshift": 8,
                     "bgcolor": "white",  # a mark may pass behind it
                     "showarrow": False,
-                    "font": {"size": 11},
+                    "font": {"size": 12},
                 }
             )
     for position, text in figure.marks:
@@ -400,7 +400,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
                 "y": 1,
                 "yanchor": "bottom",
                 "showarrow": False,
-                "font": {"size": 11},
+                "font": {"size": 12},
             }
         )
     return [trace], layout

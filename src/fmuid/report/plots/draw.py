@@ -6,6 +6,7 @@ unaffected.
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from collections.abc import Callable
@@ -83,6 +84,9 @@ def drawn(figure: Figure, format: str) -> bytes:
             agg.print_png(file, metadata=metadata)
         else:
             canvas.savefig(file, format=format, metadata=metadata)
+    if format == "svg":
+        label = html.escape(figure.title, quote=True)
+        return file.getvalue().replace(b"<svg ", f'<svg role="img" aria-label="{label}" '.encode(), 1)
     return file.getvalue()
 
 
