@@ -461,7 +461,7 @@ class Campaign(Plottable):
     measurements_file: Path | None = None
 
     def __str__(self) -> str:
-        """Return what the campaign consists of, with its parameters as a table."""
+        """Return a summary, and the parameters as a table."""
         return f"{self._summary}\n{text_table(self._cells())}"
 
     def _repr_html_(self) -> str:

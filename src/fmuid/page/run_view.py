@@ -291,11 +291,15 @@ class RunView:
                                 with element("td", data_label=key.capitalize()):
                                     Field(
                                         f"{key.capitalize()} of {label}",
-                                        f"{criterion.get(key, 1.0):g}",
+                                        _written(criterion.get(key, 1.0)),
                                         lambda typed, name=name, k=k, key=key: self._act(  # type: ignore[misc]
                                             lambda: self._work.set_criterion(name, k, key, typed)
                                         ),
                                     )
+
+
+def _written(demand: float | list[float]) -> str:
+    return ", ".join(f"{value:g}" for value in (demand if isinstance(demand, list) else [demand]))
 
 
 def _next_folder(folder: Path) -> Path:

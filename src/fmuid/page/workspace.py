@@ -357,10 +357,10 @@ class Workspace:
             The text is not a number.
         """
         try:
-            value = float(typed)
+            numbers = [float(part) for part in typed.split(",")]
         except ValueError:
             raise FmuidError(f"'{typed}' is not a number", where=key, fix="write it as in 0.5") from None
-        self.file.set(("stages", stage, "criteria", number, key), value)
+        self.file.set(("stages", stage, "criteria", number, key), numbers if len(numbers) > 1 else numbers[0])
         self.refresh()
 
     def role(self, run: str) -> str:
