@@ -91,8 +91,8 @@ class Scored:
 
     @property
     def behind(self) -> set[str]:
-        """Effects of the background."""
-        return {canonical(n) for n in self.label["background_effects"]}
+        """Effects of the background, and those that the runs cannot tell from one of them."""
+        return {canonical(n) for n in (*self.label["background_effects"], *self.label["background_same"])}
 
     @property
     def right(self) -> bool:

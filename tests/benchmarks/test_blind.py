@@ -19,7 +19,7 @@ from benchmarks.blind.score import Scored, bias, figures, localisation, share
 
 LABEL = {
     "seed": 1, "rig": 0, "case": "c0000", "number": 0, "stratum": "one", "effects": ["lag@y"], "same": {"lag@y": ["delay@y"]},
-    "background_effects": ["offset@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": None,
+    "background_effects": ["offset@u"], "background_same": ["gain@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": None,
     "places": ["y"], "sizes": {}, "gap": 2.0, "background": 0.2, "noise": "white", "timing": "held", "moving": False,
     "closed": 0, "style": "components", "kind": "thermal", "determined": ["a"], "values": {"a": 2.0},
 }  # fmt: skip
@@ -96,6 +96,7 @@ def test_a_twin_has_the_same_noise_in_other_units(tmp_path):
         ({"effects": ["lag@y"]}, True, False),
         ({"effects": ["delay@y"]}, True, False),  # the runs cannot tell it from the lag
         ({"effects": ["lag@y", "offset@u"]}, True, False),  # of the background
+        ({"effects": ["lag@y", "gain@u"]}, True, False),  # the runs cannot tell it from one of the background
         ({"effects": ["gain@y"]}, False, True),
         ({"effects": ["lag@y", "gain@y"]}, False, True),
         ({"kind": "ambiguous", "one_of": [["lag@y"], ["delay@y"]]}, True, False),

@@ -122,7 +122,9 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
                 noise=np.zeros(rig.samples),
             )  # fmt: skip
             runs[k] = replace(runs[k], u=u)
-    gaps = Gaps(rig, values, runs, way, typical, noise)
+    # Sizes are in standard deviations of a sample; what can be told apart depends on the noise.
+    gaps = Gaps(rig, values, runs, way, typical, "white")
+    telling = gaps if noise not in ("coloured", "drift") else Gaps(rig, values, runs, way, typical, noise)
     known = candidates(rig, typical, rng)
     try:
         chosen, label = _truth(rig, stratum, gaps, known, typical, rng)
@@ -136,7 +138,6 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         small = shaped(for_background[k], rng)
         background.append(gaps.sized(small, 0.5 * wanted * float(rng.uniform(0.5, 1.5)))[0])
         behind.append(small.id)
-    effects = [c.effect for c in chosen]
     factor, low, high, total = 1.0, 0.0, np.inf, gaps.gap(background)
     for _ in range(8):  # together they may leave more or less than each of them promises
         if abs(total / wanted - 1.0) < 0.15:
@@ -146,11 +147,13 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         factor = guess if low < guess < high else 0.5 * (low + high)
         total = gaps.gap([replace(b, size=b.size * factor) for b in background])
     background = [replace(b, size=b.size * factor) for b in background]
+    effects = [c.effect for c in chosen]
     same = {
-        c.id: gaps.twins_of(c.effect, [k for k in known if k.id != c.id], repeats)
+        c.id: telling.twins_of(c.effect, [k for k in known if k.id != c.id], repeats)
         for c in chosen
         if stratum in ("one", "two", "regime")
     }
+    background_same = sorted({n for b in background for n in telling.twins_of(b, known, repeats)} - set(behind))
     together = gaps.gap(effects, background) if effects else 0.0
     if not np.isfinite(together) or abs(total / wanted - 1.0) > 0.3 or (effects and together < 0.95):
         raise DivergedError(f"effects and background leave {together:.2g} and {total:.2g} floors")
@@ -167,7 +170,7 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         "closed": sum(c is not None for c in controllers), "values": values, "determined": gaps.determined,
         "damaged": str(rng.choice(_DAMAGE)) if rng.random() < 0.05 else None,
         "twin_of": None, "columns": bool(rng.random() < 0.4), "units": bool(rng.random() < 0.15),
-        "sizes": _sizes(gaps, chosen, known),
+        "background_same": background_same, "sizes": _sizes(gaps, chosen, known),
     }  # fmt: skip
     if stratum == "regime":
         label["regime"] |= _regime_traces(rig, network, runs, way, typical, effects, label["regime"])
