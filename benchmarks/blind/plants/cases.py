@@ -122,7 +122,7 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
                 noise=np.zeros(rig.samples),
             )  # fmt: skip
             runs[k] = replace(runs[k], u=u)
-    # Sizes are in standard deviations of a sample; what can be told apart depends on the noise.
+    # Sizes are in standard deviations of a sample; which effects differ visibly depends on the noise.
     gaps = Gaps(rig, values, runs, way, typical, "white")
     telling = gaps if noise not in ("coloured", "drift") else Gaps(rig, values, runs, way, typical, noise)
     known = candidates(rig, typical, rng)
