@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fmuid.cli.output import Json, Printer, Quiet, numbers, writable
+from fmuid.cli.output import Json, Printer, Quiet, numbers, pairs, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuError, FmuidError
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fmuid.core.immutable import FloatArray
     from fmuid.data.crosscheck_csv import Table
     from fmuid.simulation.runners import Runner
+    from fmuid.simulation.simulator import Variable
 
 _NO_NUMBERS = ("String", "Binary", "Clock")
 
@@ -72,7 +73,6 @@ def simulate(
     from fmuid.core.formatting import counted
 
     printer = Printer(quiet, json)
-    values = numbers(set_ or [], "--set")
     if master and model.suffix != ".ssp":
         raise FmuidError("--master applies to .ssp files only", fix="write its keys into campaign.toml")
     if model.suffix in (".fmu", ".ssp"):
@@ -80,7 +80,15 @@ def simulate(
             raise FmuidError("--experiment applies to campaigns only", fix="leave it out for an FMU")
         with printer.working(f"simulating {model}"), supervised(workers, time_limit, memory_limit) as runner:
             table = _simulate_fmu(
-                model, master or [], values, input_, stop, step, output or [], interpolation, runner
+                model,
+                master or [],
+                pairs(set_ or [], "--set"),
+                input_,
+                stop,
+                step,
+                output or [],
+                interpolation,
+                runner,
             )
         target = out or Path(f"{model.stem}.csv")
         _write(table, target)
@@ -91,6 +99,7 @@ def simulate(
         raise FmuidError(
             "--input, --stop, --step and --output apply to FMUs only", fix="leave them out for a campaign"
         )
+    values = numbers(set_ or [], "--set")
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
         found = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)
     printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in found["nrmse"]])
@@ -98,10 +107,31 @@ def simulate(
     printer.write(found)
 
 
+def _value(name: str, text: str, variable: Variable, literals: Mapping[str, int]) -> float:
+    """Return a value as the FMU takes it; enumerations and Booleans may be given by name or number."""
+    if literals:
+        found = literals.get(text, next((v for v in literals.values() if text == str(v)), None))
+        wanted = f"choose one of {', '.join(f'{n} ({v})' for n, v in literals.items())}"
+    elif variable.type == "Boolean":
+        found = {"true": 1, "1": 1, "false": 0, "0": 0}.get(text.casefold())
+        wanted = "choose true or false"
+    else:
+        value = numbers([f"{name}={text}"], "--set")[name]
+        low, high = variable.min, variable.max
+        if (low is None or value >= low) and (high is None or value <= high):
+            return value
+        ends = [f"{word} {end:g}" for word, end in (("from", low), ("to", high)) if end is not None]
+        what = f"'{name}' cannot be {text}: it is declared {' '.join(ends)}"
+        raise FmuidError(what, where="--set", fix="give a value within these bounds")
+    if found is None:
+        raise FmuidError(f"'{name}' cannot be {text}", where="--set", fix=wanted)
+    return float(found)
+
+
 def _simulate_fmu(
     path: Path,
     master: list[str],
-    values: dict[str, float],
+    texts: dict[str, str],
     input_: Path | None,
     stop: float | None,
     step: float | None,
@@ -116,14 +146,17 @@ def _simulate_fmu(
     from fmuid.data.crosscheck_csv import Table, read_csv
     from fmuid.simulation.coupled.coupling_table import master_of
     from fmuid.simulation.coupled.loading import load_model, load_system
+    from fmuid.simulation.fmu import Fmu
     from fmuid.simulation.runners import simulated
     from fmuid.simulation.simulator import Task
 
     fmu = load_system(path, master_of(master, "--master")) if path.suffix == ".ssp" else load_model(path)
     variables = fmu.variables
-    for name in (*values, *outputs):
+    for name in (*texts, *outputs):
         if name not in variables:
             raise FmuError(f"{path.name} has no variable '{name}'", fix=suggestion(name, variables))
+    literals = {n: fmu.literals(n) if isinstance(fmu, Fmu) else {} for n in texts}
+    values = {n: _value(n, text, variables[n], literals[n]) for n, text in texts.items()}
     outputs = outputs or [n for n, v in variables.items() if v.causality == "output" and v.type not in _NO_NUMBERS]
     inputs: dict[str, FloatArray] = {}
     recorded: dict[str, FloatArray] = {}  # inputs as they are in the file

@@ -262,10 +262,11 @@ class PreparedTask:
                 known = [
                     k for k, s in self._slots.items() if s.refusal is None and variables[k].causality != "input"
                 ]
+                text = self._slots[name].suffix is None
                 raise FmuError(
                     f"'{name}' {refusal}: its start value cannot be set",
                     where=self._where,
-                    fix=suggestion(name, known),
+                    fix="export the FMU with the value that you want" if text else suggestion(name, known),
                 )
             if name in self.task.inputs:
                 raise FmuError(
