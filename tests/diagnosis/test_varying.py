@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmu_build import load
 from fmuid.diagnosis.made_catalogue import made_catalogue
 from fmuid.simulation.coupled.loading import load_simulator
+from tests.diagnosis.test_made_catalogue import RIGS
+from tests.every_law import every_law
 
 ROOM = """
 model Room "A heated room"
@@ -88,3 +91,14 @@ def test_a_shape_that_another_size_would_change_is_judged_at_the_size_that_fits(
     text = made_catalogue(campaign(tmp_path, fouled), load_simulator)
     assert text[text.index("varies@") :].startswith("varies@G(time)")
     assert "exp(-abs(time - 0)/G.varies.time_width)" in text
+
+
+@pytest.mark.parametrize("law", ["loss", "radiation"])
+def test_the_surroundings_of_a_loss_need_not_be_at_the_start_temperature(tmp_path, law):
+    effects = every_law(load(RIGS, "Rigs.Block"), tmp_path).effects
+    found = [e for e in effects.values() if e.id.startswith(f"{law}@")]
+    assert found
+    for effect in found:
+        (name,) = effect.shapes
+        assert name.endswith("_surroundings")
+        assert name in effect.expression

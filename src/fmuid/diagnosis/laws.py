@@ -163,7 +163,8 @@ def names_in(modelica: str) -> set[str]:
 class Dependence:
     """What a coefficient depends on: name, Modelica text, whether it is usual and whether it makes a variant.
 
-    `inputs` are inputs that the model gets for it, with their units.
+    `inputs` are inputs that the model gets for it, with their units; `among` is the number of dependences that
+    were compared.
     """
 
     name: str
@@ -171,6 +172,7 @@ class Dependence:
     usual: bool
     variant: bool
     inputs: Mapping[str, str]
+    among: int = 1
 
 
 def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = None) -> list[str]:
@@ -217,6 +219,7 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         *(["two_sided = true"] if law.two_sided else []),
         *([] if usual else ["usual = false"]),
         *(["variant = true"] if variant else []),
+        *([f"among = {over.among}"] if over is not None else []),
         *(f"inputs.{toml_text(n)} = {toml_text(unit)}" for n, unit in (over.inputs if over else {}).items()),
         f"trials = [{', '.join(inline(t) for t in trials)}]",
         f"{table}.parameters]",

@@ -158,7 +158,7 @@ def varying_lines(
     nominal = fit_effects(subject, (), [{}])
     if nominal is None or nominal.gap <= GAP_THAT_MATTERS:
         return []
-    chosen = scored(subject, campaign, flats, nominal)
+    chosen, among = scored(subject, campaign, flats, nominal)
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     lines: list[str] = []
     for name, unit in {
@@ -171,17 +171,23 @@ def varying_lines(
         port = Port(one.coefficient.name, "parameter", "parameter", (), (source.unit, one.coefficient.unit), {})  # type: ignore[arg-type]
         usual = source.near or bool(source.column) or source.name in _measured(subject)
         inputs = {source.text: source.unit} if source.column else {}
-        over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs)
+        over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs, among)
         lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
     return lines
 
 
-def scored(subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel], nominal: Fitted) -> list[Scored]:
-    """Return the dependences that explain more of the residual than noise would, the best first."""
+def scored(
+    subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel], nominal: Fitted
+) -> tuple[list[Scored], int]:
+    """Return the dependences that explain more of the residual than noise would, best first.
+
+    Also return how many were compared.
+    """
     setups = [s for name, flat in flats.items() if (s := _setup(subject, name, flat, nominal)) is not None]
     observed = subject.observed
     basis, residual = nominal_basis(nominal.fit, observed), stack(nominal.fit.residuals, observed)
     found: list[Scored] = []
+    among = 0
     for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
         having = [setup for setup in setups if name in setup.coefficients]
         best: dict[str, Scored] = {}
@@ -190,15 +196,16 @@ def scored(subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel],
                 kept = best.get(one.over)
                 if kept is None or one.drop > (1.0 + _SIMPLER) * kept.drop:
                     best[one.over] = one
+        among += len(best)
         found += sorted(best.values(), key=lambda s: -s.drop)[:_EACH]
     found = sorted(found, key=lambda s: -s.drop)[: 3 * _MOST]
     if not found:
-        return []
+        return [], among
     (prediction,) = subject.model.predict([nominal.fit.values])
     assert not isinstance(prediction, SimulationError)
     null = draw_noise(observed, prediction).null(basis, [s.signature for s in found])
     least = max(_MARGIN * null.threshold(), _SHARE * found[0].drop)
-    return [s for s in found if s.drop >= least][:_MOST]
+    return [s for s in found if s.drop >= least][:_MOST], among
 
 
 def _setup(subject: Subject, name: str, flat: FlatModel, nominal: Fitted) -> _Setup | None:

@@ -115,6 +115,8 @@ class Effect:
         Whether a size of the opposite sign is equally plausible.
     units
         Units of the parameters.
+    among
+        Number of candidates of its kind from which it was chosen by a comparison with the same measurements.
     inputs
         Inputs that the model gets for the expression, with their units: logged columns that it does not use.
     """
@@ -138,6 +140,7 @@ class Effect:
     usual: bool = True
     variant: bool = False
     inputs: Mapping[str, str] = field(default_factory=dict)
+    among: int = 1
 
     @property
     def sizes(self) -> tuple[str, ...]:

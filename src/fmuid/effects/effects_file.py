@@ -52,6 +52,7 @@ class _Effect(Table):
     usual: bool = True
     variant: bool = False
     inputs: dict[str, str] = msgspec.field(default_factory=dict)
+    among: Annotated[int, msgspec.Meta(ge=1)] = 1
 
 
 class _Port(Table):
@@ -174,6 +175,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         usual=raw.usual,
         variant=raw.variant or bool(raw.states) or raw.acts == "cut",
         inputs=dict(raw.inputs),
+        among=raw.among,
     )
 
 
