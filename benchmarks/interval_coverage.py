@@ -24,6 +24,11 @@ from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.simulation.simulator import Simulator
 
+KINDS = ("friction", "gain", "inputs", "signal")
+"""An effect that the model lacks, a gain that varies from run to run, noise of the recorded inputs, and noise that
+grows with the signal."""
+_FRICTION, _GAIN, _INPUTS, _LEAST = 0.1, 0.03, 0.05, 0.1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
@@ -67,6 +72,7 @@ def interval_coverage(
     *,
     draws: int = 200,
     colour: float = 0.0,
+    kind: str = "",
     seed: int = 0,
     simulators: Mapping[str, Simulator] | None = None,
 ) -> Coverage:
@@ -80,6 +86,8 @@ def interval_coverage(
         Number of noises.
     colour
         Correlation of the noise from sample to sample, of a first-order autoregression; 0 for white noise.
+    kind
+        One of `KINDS`, in addition to the noise; empty for none.
     seed
         Of the noise.
     simulators
@@ -107,7 +115,7 @@ def interval_coverage(
     generator = np.random.default_rng(seed)
     inside, deviations = [], []
     for _ in range(draws):
-        drawn = _drawn(campaign, spec, sources, generator, colour)
+        drawn = _drawn(campaign, spec, sources, generator, colour, kind)
         found = identify(drawn, simulators=simulators).stages[0]
         pairs = [(found[n], exact.parameters[n]) for n in problem.space.names]
         inside.append([e.interval is not None and e.interval[0] < v < e.interval[1] for e, v in pairs])
@@ -121,26 +129,43 @@ def _drawn(
     sources: Mapping[str, tuple[Case, FloatArray]],
     generator: np.random.Generator,
     colour: float,
+    kind: str,
 ) -> Campaign:
     """Return the campaign with the stage's runs simulated, with noise."""
     runs = {}
     for run in experiments_of(campaign, stage.experiments, where=f"stage '{stage.name}'"):
         case, prediction = sources[run.id]
-        runs[run.id] = _measured(run, case, prediction, generator, colour)
+        runs[run.id] = _measured(run, case, prediction, generator, colour, kind)
     ids = tuple(runs)
     return replace(campaign, measurements=Measurements(runs), identification=ids, validation=())
 
 
 def _measured(
-    run: Experiment, case: Case, prediction: FloatArray, generator: np.random.Generator, colour: float
+    run: Experiment,
+    case: Case,
+    prediction: FloatArray,
+    generator: np.random.Generator,
+    colour: float,
+    kind: str,
 ) -> Experiment:
     from scipy.signal import lfilter
 
     signals = dict(run.signals)
+    gain = 1.0 + _GAIN * float(generator.standard_normal()) if kind == "gain" else 1.0
+    if kind == "inputs":
+        for name, signal in run.inputs.items():
+            scatter = _INPUTS * float(np.std(signal.values)) * generator.standard_normal(len(signal.values))
+            signals[name] = replace(signal, values=signal.values + scatter)
     for channel, y in zip(case.channels, prediction, strict=True):
         signal = signals[channel.signal]
         white = generator.standard_normal(len(y) + 100)
         noise = lfilter([np.sqrt(1.0 - colour**2)], [1.0, -colour], white)[100:]
+        if kind == "signal":
+            noise = noise * (_LEAST + (1.0 - _LEAST) * np.abs(y) / max(float(np.max(np.abs(y))), 1e-300))
+        if kind == "friction":
+            speed = np.gradient(y)
+            y = y - _FRICTION * np.std(y) * np.tanh(speed / max(0.05 * float(np.max(np.abs(speed))), 1e-300))
+        y = gain * y
         convert = conversion_at(signal.unit, channel.unit, f"signal '{signal.name}'")
         values = (y + channel.noise.sigma * noise - convert.offset) / convert.factor
         signals[signal.name] = replace(signal, values=np.where(np.isfinite(signal.values), values, np.nan))
@@ -148,19 +173,22 @@ def _measured(
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`python -m benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [COLOUR]`: print a table."""
-    return run_module("benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [COLOUR]", arguments, _command)
+    """`python -m benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [COLOUR|KIND]`: print a table."""
+    return run_module("benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [COLOUR|KIND]", arguments, _command)
 
 
 def _command(arguments: Sequence[str]) -> None:
     from fmuid.campaigns.campaign_toml import load_campaign
 
     campaign, stage, *numbers = arguments
+    kind = numbers.pop() if numbers and numbers[-1] in KINDS else ""
     try:
         draws, colour = int(numbers[0]) if numbers else 200, float(numbers[1]) if len(numbers) > 1 else 0.0
     except ValueError as error:
-        raise ProblemError(f"is no number ({error})", where="DRAWS, COLOUR", fix="such as 200 0.8") from None
-    print(interval_coverage(load_campaign(campaign), stage, draws=draws, colour=colour))
+        raise ProblemError(
+            f"is no number ({error})", where="DRAWS, COLOUR", fix=f"such as 200 0.8, or 200 {KINDS[0]}"
+        ) from None
+    print(interval_coverage(load_campaign(campaign), stage, draws=draws, colour=colour, kind=kind))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.interval_coverage import interval_coverage, main
+from benchmarks.interval_coverage import KINDS, interval_coverage, main
 from fmuid import CriterionSpec, ParameterSpec
 from fmuid.core.errors import ProblemError
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
@@ -44,6 +44,15 @@ class Biased:
     def simulate(self, task, parameters):
         self.runs += 1
         return self.model.simulate(task, dict(parameters) | {"a": parameters["a"] + (self.runs > 3)})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_measurements_may_differ_from_the_model(bench, kind):
+    both = SLOPE.__class__("both", ("loaded",), ("a", "b"))
+    truth = {n: ParameterSpec(n, 1.0, truth=v) for n, v in (("a", 2.0), ("b", 0.5))}
+    found = interval_coverage(campaign(both, **truth), "both", draws=20, kind=kind, simulators=bench)
+    off = kind in ("gain", "friction")  # one run does not show how a gain varies
+    assert np.min(found.shares) < 0.8 if off else np.min(found.shares) >= 0.8
 
 
 def test_mistakes_are_one_line(bench, capsys):
