@@ -13,6 +13,7 @@ from fmu_build.front.classes import ClassDef, ComponentDef, Modification
 from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
 from fmu_build.front.overconstrained import Tree, VirtualGraph
 from fmu_build.front.resolve import Absent, Env, Item, Many, NotInBusError, Resolver, Var, check_visible
+from fmu_build.front.streams import flow_of
 from fmu_build.syntax import All, Assert, Binary, Call, Expression, Literal, Part, Place, Reference, Unary
 
 Element = tuple[str, tuple[int, ...]]  # variable and index
@@ -292,8 +293,8 @@ class Connections:
         assert isinstance(other, Var)
         if one.flow != other.flow:
             raise ModelicaError(f"'{one.name}' and '{other.name}': only one of them is a flow", where=at)
-        if one.stream or other.stream:
-            raise ModelicaError("stream connectors are not supported", where=at)
+        if one.stream != other.stream:
+            raise ModelicaError(f"'{one.name}' and '{other.name}': only one of them is a stream", where=at)
         if (one.type == "Real") != (other.type == "Real") or (one.type == "Boolean") != (other.type == "Boolean"):
             raise ModelicaError(f"'{one.name}' is {one.type}, '{other.name}' is {other.type}", where=at)
         self.touched |= {one.name, other.name}
@@ -301,6 +302,11 @@ class Connections:
         self._owner[other.name] = connectors[1]
         origin = Origin("potential", written.scope.root.path or "", written.scope.class_name, connectors)
         left, right = (one.name, a.index), (other.name, b.index)
+        if one.stream:
+            streams = self._resolver.streams
+            streams.flows |= {v.name: flow_of(v.owner, at) for v in (one, other)}
+            streams.join((left, a.outside), (right, b.outside))
+            return
         if one.flow:
             self._flow_origin.setdefault((left, a.outside), (origin, at))
             self._union_flow((left, a.outside), (right, b.outside))

@@ -143,6 +143,7 @@ class _Flattener:
                 self._sections(base)
         flows = [v for v in self.order if v.flow and (v.connector or _in_connector(v.owner))]
         equations = [*self.sink.equations, *connections.equations, *connections.balances(flows)]
+        equations += self.resolver.streams.equations({v.name: v.at for v in self.order})
         variables = {v.name: self._variable(v) for v in self.order}
         components = {i.path or "": self._component(i) for i in self.tree}
         connectors = self._connectors()

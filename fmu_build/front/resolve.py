@@ -31,6 +31,7 @@ from fmu_build.front.instances import (
 )
 from fmu_build.front.overconstrained import Tree
 from fmu_build.front.parser import annotation
+from fmu_build.front.streams import Streams, flow_of
 from fmu_build.functions import Functions
 from fmu_build.graph import SX
 from fmu_build.syntax import (
@@ -151,6 +152,7 @@ class Resolver:
         self.shown_constants: dict[str, Var] = {}
         self.warnings: list[str] = []
         self.files: tuple[Path, ...] = ()
+        self.streams = Streams()
         self.tree: Tree | None = None  # of overconstrained connectors, once it is known
         self.connected: Counter[str] = Counter()  # number of connections of each connector, once it is known
         self._function_keys: dict[tuple[int, int, int], str] = {}
@@ -820,8 +822,28 @@ class Resolver:
             return Call(e.at, function.external[0].removeprefix("builtin:"), tuple(used))
         return Call(e.at, key, arguments)
 
-    def _in_tree(self, e: Call, scope: Instance, env: Env) -> Literal:
+    def _stream(self, e: Call, node: Any) -> Expression:
+        """``inStream`` or ``actualStream`` of a stream variable, or of the elements of an array of them."""
+        if isinstance(node, ArrayOf):
+            return ArrayOf(e.at, tuple(self._stream(e, item) for item in node.items))
+        var = self.vars.get(node.name) if isinstance(node, Reference) else None
+        if self.tree is None or var is None or not var.stream:
+            raise ModelicaError(f"{e.function}() of something that is not a stream variable", where=e.at)
+        indices = tuple(int(s.value) for s in node.subscripts if isinstance(s, Literal))
+        if len(indices) < len(var.dims):
+            items = (replace(node, parts=(Part(node.name, (Literal(e.at, i + 1),)),)) for i in range(var.dims[0]))
+            return ArrayOf(e.at, tuple(self._stream(e, item) for item in items))
+        inside = self.streams.inside((var.name, indices), e.at)
+        if e.function == "inStream":
+            return inside
+        flow = Reference(e.at, (Part(flow_of(var.owner, e.at)),))
+        chosen = If(e.at, ((Binary(e.at, ">", flow, Literal(e.at, 0)), inside),), node)
+        return Call(e.at, "noEvent", (chosen,))  # it is multiplied by the flow, and that product has no jump
+
+    def _in_tree(self, e: Call, scope: Instance, env: Env) -> Any:
         """Truth of ``Connections.isRoot(R)`` or ``Connections.rooted(R)``; nothing similar is supported."""
+        if e.function in ("inStream", "actualStream"):
+            return self._stream(e, self.expr(e.arguments[0], scope, env))
         if e.function not in ("Connections.isRoot", "Connections.rooted", "rooted"):
             raise ModelicaError(f"'{e.function}' is not supported", where=e.at)
         node = self.expr(e.arguments[0], scope, env) if len(e.arguments) == 1 else None

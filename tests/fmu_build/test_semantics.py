@@ -141,6 +141,22 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         {"b[1,1]": 37, "b[1,2]": 54, "b[2,1]": 81, "b[2,2]": 118, "c[1,1]": 1, "c[1,2]": 0, "d[1,1,2]": 3,
          "d[1,2,1]": 2, "e[2,1]": 3, "s": 1, "t": 0},
     ),
+    # specification 15.2: two, three and unconnected ports, and a connection from outside to inside
+    "streams": (
+        """
+        connector Port Real p; flow Real m; stream Real h; end Port;
+        model Source Port a; parameter Real m = 1; parameter Real h = 7; equation a.m = -m; a.h = h; end Source;
+        model Sink Port a; parameter Real h = 3; Real x = inStream(a.h); Real y = actualStream(a.h);
+        equation a.p = 1; a.h = h; end Sink;
+        model Box Port a; Sink sink; equation connect(a, sink.a); end Box;
+        model M
+          Source s; Sink k; Source s1(m = 1, h = 10); Source s2(m = 3, h = 20); Sink both; Sink loose; Source far; Box box;
+        equation
+          connect(s.a, k.a); connect(s1.a, both.a); connect(s2.a, both.a); connect(far.a, box.a);
+        end M;
+        """,
+        {"k.x": 7, "k.y": 7, "both.x": 17.5, "loose.x": 3, "box.sink.x": 7, "box.a.h": 3},
+    ),
     "flows of record type": (
         """
         record C Real re; Real im; end C;
