@@ -10,6 +10,7 @@ assertion fails. Only the translation is tried: no test is compiled to an FMU.
 from __future__ import annotations
 
 import argparse
+import csv
 import re
 import signal
 from collections.abc import Iterator, Sequence
@@ -110,12 +111,19 @@ def page(outcomes: Sequence[Outcome]) -> str:
             these = [o for o in own if o.case.should_pass == should_pass]
             cells += [str(len(these)), str(sum(o.is_right for o in these))]
         lines.append(f"| {chapter or 'all'} | {' | '.join(cells)} |")
-    lines += ["", "## What is not right", "", "| test | should | what happens |", "|---|---|---|"]
-    for o in outcomes:
-        if not o.is_right:
-            why = o.why.replace("|", "\\|")[:160]
-            lines.append(f"| `{o.case.name}` | {'pass' if o.case.should_pass else 'be refused'} | {why} |")
-    return "\n".join(lines) + "\n"
+    lines += ["", "[The other tests](modelica_compliance.csv), with what happens to each.", ""]
+    lines += ["Next: [Modelica](modelica.md), or [how good it is](quality.md).", ""]
+    return "\n".join(lines)
+
+
+def write_misses(outcomes: Sequence[Outcome], file: Path) -> None:
+    """Write the tests that are not right as CSV."""
+    with file.open("w", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(["test", "should", "what happens"])
+        for o in outcomes:
+            if not o.is_right:
+                writer.writerow([o.case.name, "pass" if o.case.should_pass else "be refused", o.why[:160]])
 
 
 def main() -> None:
@@ -133,6 +141,7 @@ def main() -> None:
         print(f"{what}: {sum(o.is_right for o in own)} of {len(own)} are right")
     if options.page:
         options.page.write_text(page(outcomes))
+        write_misses(outcomes, options.page.with_suffix(".csv"))
 
 
 if __name__ == "__main__":
