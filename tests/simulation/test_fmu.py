@@ -289,3 +289,14 @@ def test_tasks_are_laid_out_once_and_forgotten_when_they_are_too_many(build, mon
     for _ in range(50):
         fmu.simulate(task(), {})
     assert len(fmu._prepared._kept) <= 9  # 8 bytes, 501 samples, 3 columns each
+
+
+def test_an_fmu_that_needs_its_tool_reports_that(build, tmp_path):
+    """One with another token is refused by its library; the description states that it needs its tool."""
+    needing = tmp_path / "Needing.fmu"
+    with zipfile.ZipFile(build(2)) as old, zipfile.ZipFile(needing, "w") as new:
+        for name in old.namelist():
+            content = old.read(name).replace(b"<CoSimulation ", b'<CoSimulation needsExecutionTool="true" ')
+            new.writestr(name, content.replace(b'guid="oscillator"', b'guid="another"'))
+    with pytest.raises(FmuError, match="needsExecutionTool"):
+        Fmu(needing).simulate(Task(np.array([0.0, 0.1]), {}, ("y",)), {})

@@ -348,7 +348,10 @@ class Fmu:
             resources = (self._folder or Path()) / "resources"
             try:
                 self._instance = library.instantiate(self.name, self.token, resources.resolve())
-            except FmuError:
+            except FmuError as error:
+                if not self._instantiated and self._described.needs_tool:
+                    fix = f"install {self.tool} and its licence: the FMU needs them (needsExecutionTool)"
+                    raise FmuError(error.what, where=self.path, fix=fix) from None
                 if not self._instantiated:
                     raise
                 raise ProcessSpentError(
