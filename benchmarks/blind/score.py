@@ -163,7 +163,8 @@ class Scored:
     def reason(self) -> str:
         """Why the case is not right, as far as a program can say it."""
         if not self.answer:
-            return f"no answer: {str(self.record.get('said', '')).splitlines()[-1:] or ['']}"[:160]
+            said = str(self.record.get("said", "")).strip().splitlines()
+            return f"no answer{': ' + said[-1] if said else ''}"[:160]
         if self.wrong:
             return "names " + ", ".join(sorted(set().union(*map(self._foreign, self.sets))))
         if self.kind == "insufficient":

@@ -1,0 +1,23 @@
+"""Sealed campaigns are scored by anyone who has their labels."""
+
+import json
+
+from benchmarks.sealed_score import main
+
+
+def test_answers_are_compared_with_published_labels(tmp_path, capsys):
+    labels = {
+        "a": {"effects": ["lag@y"], "same": {"lag@y": ["delay@y"]}},
+        "b": {"effects": []},
+        "c": {"effects": []},
+    }
+    (tmp_path / "labels.json").write_text(json.dumps(labels))
+    for name, kind, effects in (("a", "effect", ["delay@y"]), ("b", "effect", ["gain@y"])):
+        verdict = {"kind": kind, "effects": effects, "one_of": [], "ports": ["y"]}
+        (tmp_path / f"{name}.json").write_text(json.dumps({"verdict": verdict, "answers": []}))
+    main([str(tmp_path / "labels.json"), str(tmp_path)])
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("a: right")
+    assert said[1].startswith("b: names gain@y")
+    assert said[2].startswith("c: no answer;")
+    assert said[3].startswith("right: 0.33")
