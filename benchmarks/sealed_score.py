@@ -1,8 +1,8 @@
 """`python -m benchmarks.sealed_score LABELS ANSWERS`: score sealed campaigns once their labels are published.
 
 LABELS is a JSON file: by case, ``effects`` (ids as a diagnosis writes them; empty for a complete model,
-``["unknown"]`` for an effect outside the catalogue) and optionally ``same`` (by id, ids that the sensors cannot separate) and
-``places``. ANSWERS is the folder with the answers, `sealed` or `sealed/abroad`.
+``["unknown"]`` for an effect outside the catalogue) and optionally ``same`` (by
+id, ids that the sensors cannot separate) and ``places``. ANSWERS is the folder with the answers, `sealed` or `sealed/abroad`.
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ def main(arguments: Sequence[str]) -> None:
         ("place right", share("", [c for c in cases if c.label["effects"]], lambda c: c.placed)),
     ):
         if figure.value is not None and figure.interval is not None:
-            print(
-                f"{name}: {figure.value:.2f} ({figure.interval[0]:.2f} to {figure.interval[1]:.2f}), {figure.cases} cases"
-            )
+            low, high = figure.interval
+            print(f"{name}: {figure.value:.2f} ({low:.2f} to {high:.2f}), {figure.cases} cases")
 
 
 if __name__ == "__main__":
