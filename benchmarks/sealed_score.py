@@ -1,8 +1,8 @@
 """`python -m benchmarks.sealed_score LABELS ANSWERS`: score sealed campaigns once their labels are published.
 
 LABELS is a JSON file: by case, ``effects`` (ids as a diagnosis writes them; empty for a complete model,
-``["unknown"]`` for an effect outside the catalogue) and optionally ``same`` (by
-id, ids that the sensors cannot separate) and ``places``. ANSWERS is the folder with the answers, `sealed` or `sealed/abroad`.
+``["unknown"]`` for an effect outside the catalogue) and optionally ``same`` (by id, ids that the sensors cannot
+separate) and ``places``. ANSWERS is the folder with the answers, `sealed` or `sealed/abroad`.
 """
 
 from __future__ import annotations
