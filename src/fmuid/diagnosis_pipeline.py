@@ -18,8 +18,7 @@ from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
-from fmuid.diagnosis.candidates import Fitted
-from fmuid.diagnosis.corrected import FOLDER, Corrected, write_corrected
+from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.log_timing import with_timing_of_log
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
@@ -27,7 +26,7 @@ from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.unit_to_unit import between_machines
 from fmuid.diagnosis.varying import course_of
-from fmuid.diagnosis.verdict import BetweenMachines, Verdict
+from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Verdict
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.identification.continued import continued, is_run
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from fmuid.report.document import Drawing
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
+_DIFFERS = 0.05  # standard deviations: far below what any measurement shows, far above errors of solvers
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
@@ -156,7 +156,7 @@ def diagnose(
             found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
         discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
         if discovery is not None:
-            found = replace(found, diagnosis=replace(found.diagnosis, law_found=discovery.found))
+            found = _with_law(found, discovery.found)
         say("comparing machines", 0.968)
         found = replace(found, diagnosis=replace(found.diagnosis, machines=_machines(found)))
         found = replace(found, rehearsal=tuple(rehearsal))
@@ -245,7 +245,7 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     if campaign is not None and campaign.file is not None:
         answer["campaign"] = str(campaign.file)
         law = found.diagnosis.law_found
-        named = [*law.beside, law.id] if law is not None and law.id else _into_the_model(found).effects
+        named = [*law.beside, law.id] if law is not None and law.id else found.corrected.effects
         answer["corrected"] = list(named)
     if found.rehearsal:
         answer["rehearsal"] = [trial.to_dict() for trial in found.rehearsal]
@@ -266,7 +266,7 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
 
 def _courses(found: Found) -> dict[str, str]:
     """Return the coefficients that vary in the answers, in words and numbers, by effect."""
-    every = [(e, f) for f in found.surviving for e in found.subject.effects if e.id in f.names]
+    every = [(e, f) for f in found.surviving for e in found.subject.effects if e.id in f.effects]
     courses = {e.id: course_of(found.subject, e, f.fit.values) for e, f in reversed(every)}
     return {id: str(course) for id, course in courses.items() if course is not None}
 
@@ -281,26 +281,31 @@ def _at_bounds(found: Found) -> list[str]:
     ]
 
 
-def _into_the_model(found: Found) -> Fitted:
-    """Return the answer that becomes the corrected model: the certain effects, or else the best alternative."""
-    sure = set(found.diagnosis.verdict.effects)
-    alone = [fitted for fitted in found.candidates if set(fitted.effects) == sure]
-    return min(alone, key=lambda fitted: fitted.fit.cost) if sure and alone else found.corrected
-
-
 def _machines(found: Found) -> BetweenMachines | None:
     """Return the differences between machines.
 
     If no effect is named, for instance because its size differs between machines, the effect that comes closest is
     included, provided that separate values per machine then leave much less of the gap than without it.
     """
-    machines = between_machines(found.subject, _into_the_model(found))
-    if machines is None or found.surviving or found.best is None or not found.diagnosis.gap.present:
+    named = found.surviving[0] if found.surviving else found.nominal
+    machines = between_machines(found.subject, named)
+    if machines is None or found.surviving or found.best is None:
         return machines
     other = between_machines(found.subject, found.best)
     if other is None or other.gap is None or (machines.gap is not None and other.gap >= _MUCH_LESS * machines.gap):
         return machines
     return other
+
+
+def _with_law(found: Found, law: LawFound) -> Found:
+    """Return a diagnosis whose best explanation is the law found, if there is one."""
+    diagnosis = replace(found.diagnosis, law_found=law)
+    if law.id and law.closure is not None and law.gap is not None:
+        parameters = {n: Estimate(p.value, p.standard_error) for n, p in law.parameters.items()}
+        best = Best((*law.beside, law.id), law.closure, law.gap, parameters=parameters)
+        size = replace(diagnosis.gap, corrected=law.gap)
+        diagnosis = replace(diagnosis, best=best, gap=size, model=dict(law.values))
+    return replace(found, diagnosis=diagnosis)
 
 
 def _drawing(campaign: Campaign, found: Found) -> Drawing | None:
@@ -323,6 +328,15 @@ def _write(
     from fmuid.report.provenance_table import hashes, versions
 
     answer = answer_of(found, campaign)
+    corrected = _write_corrected(found, campaign, out, law)
+    if corrected is not None:
+        answer["notes"] += corrected.notes
+        answer["corrected_differs"] = corrected.differs
+        if corrected.differs > _DIFFERS:
+            answer["notes"].append(
+                f"Error of fmuid: the model in {FOLDER}/ differs from the fitted one by {corrected.differs:.3g}"
+                " standard deviations of the noise. Please report it; 'model' has the fitted values."
+            )
     write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
     files = [campaign.file or campaign.folder / "campaign.toml", *_files(campaign, found.subject)]
     write_diagnosis_report(
@@ -334,15 +348,20 @@ def _write(
         units={n: p.unit for n, p in campaign.parameters.items() if p.unit},
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
     )
-    fitted, subject = _into_the_model(found), found.subject
+    return corrected
+
+
+def _write_corrected(found: Found, campaign: Campaign, out: Path, law: Candidate | None) -> Corrected | None:
+    """Write the model with the best explanation, simulate it, and compare it with the fitted prediction."""
+    fitted, subject = found.corrected, found.subject
     if law is not None:
         fitted, campaign = law.fitted, with_effect(campaign, law.effect.id, entry(law.effect))
         subject = replace(subject, effects=(*subject.effects, law.effect))
-    return write_corrected(
-        campaign,
-        subject,
-        fitted.effects,
-        fitted.fit.values,
-        folder=out / FOLDER,
-        runner=found.subject.model.runner,
+    runner = found.subject.model.runner
+    written = write_corrected(
+        campaign, subject, fitted.effects, fitted.fit.values, folder=out / FOLDER, runner=runner
     )
+    if written is None:
+        return None
+    fit_to = subject if law is None else law.subject
+    return replace(written, differs=difference(written, fit_to, fitted, runner=runner))

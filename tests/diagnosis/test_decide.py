@@ -45,7 +45,7 @@ def fitted(effects, gap, *, held_out=None, residuals=((),), cost=0.0, parameters
     unknowns = tuple(Unknown(f"p{k}", 0.0, -1.0, 1.0, 0.1) for k in range(parameters))
     fit = Refit(unknowns, {}, tuple(np.array(r, dtype=float) for r in residuals), (), cost, 0, True)
     losses = lost((gap if held_out is None else held_out) ** 2)
-    return Fitted(effects, effects, fit, losses, losses, gap)
+    return Fitted(effects, fit, losses, losses, gap)
 
 
 def free(left):
@@ -113,7 +113,7 @@ def test_names_that_close_far_less_are_not_listed_beside_the_best():
     pair = fitted(("near", "best"), 1.0, residuals=[[0.0], [0.0]])
     again = fitted(("near",), 1.2, residuals=[[0.0], [0.03]], cost=9.0)
     found = survivors(best, [far, again, near, pair, best], RECORDED)
-    assert [f.names for f in found] == [("best",), ("near",)]
+    assert [f.effects for f in found] == [("best",), ("near",)]
     assert found[1] is near
 
 
@@ -168,9 +168,9 @@ def test_an_answer_that_one_experiment_alone_speaks_for_is_not_stable():
     larger = fitted(("odd", "even"), 0.3, residuals=odd.fit.residuals)
     assert stable((best,), [best, larger], recorded) is True  # of more effects: no rival
     three = Recorded(np.full(3, 5.0))
-    of_three = [fitted(f.names, 0.0, residuals=f.fit.residuals[:3]) for f in (best, odd)]
+    of_three = [fitted(f.effects, 0.0, residuals=f.fit.residuals[:3]) for f in (best, odd)]
     assert stable(of_three[:1], of_three, three) is False
-    of_two = [fitted(f.names, 0.0, residuals=f.fit.residuals[:2]) for f in (best, odd)]
+    of_two = [fitted(f.effects, 0.0, residuals=f.fit.residuals[:2]) for f in (best, odd)]
     assert stable(of_two[:1], of_two, Recorded(np.full(2, 5.0))) is None
 
 
@@ -251,7 +251,7 @@ def test_where_nothing_was_left_no_further_effect_is_added():
 
 def test_a_further_effect_that_runs_do_not_agree_on_is_not_added():
     def of(gap, held_out):
-        return Fitted((), (), Refit((), {}, (), (), 0.0, 0, True), held_out, held_out, gap)
+        return Fitted((), Refit((), {}, (), (), 0.0, 0, True), held_out, held_out, gap)
 
     before = of(1.0, scattered([2.0, 4.0], [2.0, 4.0]))
     assert decide.worth_adding(before, of(0.5, scattered([1.0, 1.0], [1.0, 1.0]))) is True  # 2 +- 0.7
@@ -331,9 +331,9 @@ def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strai
     neutral, trial = {"size": 0.0, "shape": 1.0, "onset": 1.0}, {"size": 0.1, "shape": 0.1, "onset": 9.0}
     effect = Effect("e", "", "p", UNKNOWNS, neutral, (trial,), shapes=frozenset({"shape", "onset"}))
     found = dict(zip(neutral, values, strict=True))
-    best = Fitted(("e",), ("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
+    best = Fitted(("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
     assert strained(best, [effect]) is strain
-    assert strained(Fitted(("other",), ("other",), best.fit, best.held_out, best.judged, 1.0), [effect]) is False
+    assert strained(Fitted(("other",), best.fit, best.held_out, best.judged, 1.0), [effect]) is False
     ends = replace(effect, natural=frozenset({"shape", "onset"}))  # shares, say, which end at 0 and 1
     assert strained(best, [ends]) is (values[0] == 1.0)
 
@@ -344,9 +344,7 @@ def test_an_effect_of_one_sign_may_be_off_at_its_bound():
     def at_its_lower_bound(*, two_sided):
         size = Unknown("size", 0.5, 0.0, 1.0, 1e-3)
         effect = Effect("e", "", "p", (size,), {"size": 0.0}, ({"size": 0.5},), two_sided=two_sided)
-        best = Fitted(
-            ("e",), ("e",), Refit((size,), {"size": 0.0}, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0
-        )
+        best = Fitted(("e",), Refit((size,), {"size": 0.0}, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
         return decide._limits(effect, size), strained(best, [effect])
 
     assert at_its_lower_bound(two_sided=False) == ({1.0}, False)

@@ -101,16 +101,15 @@ def test_what_no_effect_explains_is_called_unknown_at_its_port():
     assert answer["port_closures"]["friction"] > answer["port_closures"]["reading"]
 
 
-def test_two_effects_that_no_experiment_tells_apart_are_both_named():
+def test_two_effects_that_are_one_model_are_one_answer_with_two_names():
     answer = check(
         diagnose_subject(plant({"tilt": 0.05}, effects={**EFFECTS, "cable": replace(TWIN, port="command")}))
     )
-    assert answer["verdict"]["kind"] == "ambiguous"
-    assert answer["verdict"]["effects"] == []
-    assert sorted(answer["verdict"]["one_of"]) == [["cable"], ["tilt"]]
+    assert (answer["verdict"]["kind"], answer["verdict"]["effects"]) == ("effect", ["tilt"])
+    assert answer["equal"] == [[["tilt"], ["cable"]]]
+    assert "command" in answer["verdict"]["ports"]
     assert any({"tilt", "cable"} <= set(names) for names in answer["alias_classes"])
-    probability = {e["id"]: e["probability"] for e in answer["effects"]}
-    assert probability["tilt"] == pytest.approx(probability["cable"], abs=0.1)
+    assert "In these runs, cable would be the same as tilt." in answer["notes"]
 
 
 def test_nothing_repeated_still_gets_an_answer_that_says_so():

@@ -16,7 +16,6 @@ from fmuid import Result
 from fmuid.cli.app import run
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.diagnosis.corrected import write_corrected
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.simulator import Task
 
@@ -310,9 +309,7 @@ def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_pat
     record(trolley, drag=0.3)
     command = ["diagnose", str(trolley), "--out", str(tmp_path / "out"), "--workers", "0"]
     with monkeypatch.context() as stopping:
-        stopping.setattr(
-            "fmuid.diagnosis_pipeline.write_corrected", lambda *a, **k: interrupted(write_corrected(*a, **k))
-        )
+        stopping.setattr("fmuid.report.write_diagnosis_report", interrupted)
         assert run(command) == 130
     assert f"continue with: fmuid {' '.join(command[:4])} --resume\n" in capsys.readouterr().out
     before = (tmp_path / "out" / "diagnosis.json").read_text()

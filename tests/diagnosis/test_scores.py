@@ -32,7 +32,8 @@ def effect(name, *trials, two_sided=False, usual=True, more=(), bound=1e9):
     unknowns = tuple(Unknown(n, 0.0, -bound, bound, 0.01) for n in (name, *more))
     neutral = dict.fromkeys((name, *more), 0.0)
     trials = tuple({name: size} for size in trials)
-    return Effect(name, "", "port", unknowns, neutral, trials, two_sided=two_sided, usual=usual)
+    law = "value" if name.startswith("value@") else "law"
+    return Effect(name, "", "port", unknowns, neutral, trials, law=law, two_sided=two_sided, usual=usual)
 
 
 # Four runs of one experiment and nine of another: components count twice and three times. What the parameter of the

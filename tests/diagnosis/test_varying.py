@@ -60,7 +60,7 @@ def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path)
     found = fmuid.diagnose(
         campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.05 * wind)), out=tmp_path / "out"
     )
-    assert found.corrected.names == ("varies@G(wind)",)
+    assert found.corrected.effects == ("varies@G(wind)",)
     size = found.corrected.fit.values["G.varies.wind"]
     assert size == pytest.approx(0.05, rel=0.1)
     page = (tmp_path / "out" / "diagnosis.json").read_text()

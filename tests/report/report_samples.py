@@ -126,7 +126,7 @@ def diagnosis():
 
     return {
         "format": "fmuid-diagnosis",
-        "version": 2,
+        "version": 3,
         "verdict": {
             "kind": "effect",
             "effects": ["mesh_loss"],

@@ -78,7 +78,7 @@ def test_a_verdict_is_said_as_an_engineer_would():
     diagnosis["verdict"]["rest"] = {"gap": 1.3, "where": "tau_sensor in load_25, speed -1 … 1"}
     assert sentences(diagnosis) == [
         "Mesh loss is missing at gear_friction (94 %).",
-        "With it, 0.93 of the gap is closed on held-out runs (0.85 to 1.01).",
+        "With it, 0.93 of the gap is closed (0.85 to 1.01) on data that were not used.",
         "What is left: 1.3 times the noise, most of it tau_sensor in load_25, speed -1 … 1.",
     ]
     found = {fact.label: fact for fact in facts(diagnosis | {"verdict": diagnosis["verdict"] | {"stable": False}})}
@@ -149,6 +149,7 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
         if "closure" in effect:
             effect["closure"]["held_out"] = closes
     diagnosis["port_closures"] = {"gear_friction": 0.62, "torque_sensor": 0.1}
+    diagnosis["best"] = {"effects": ["mesh_loss"], "closure": diagnosis["effects"][0]["closure"]}
     found = {fact.label: fact.value for fact in facts(diagnosis)}
     assert found["What comes closest"] == (
         "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little to be named (it takes 0.5); "
@@ -283,8 +284,8 @@ def test_a_law_found_is_said_with_its_formula_and_drawn(tmp_path):
         diagnosis
     )
     assert sentences(diagnosis)[-1] == (
-        "A law found at body explains it: a flow of 3 W * tanh((p - 293.15)/15 K). With it, 0.96 of the gap is gone"
-        " on runs that were not used (0.90 to 1.00)."
+        "A law found at body explains it: a flow of 3 W * tanh((p - 293.15)/15 K). With it, 0.96 of the gap is closed"
+        " on held-out runs (0.90 to 1.00)."
     )
 
 

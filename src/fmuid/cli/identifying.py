@@ -164,8 +164,9 @@ def validate(
 
     printer = Printer(quiet, json)
     with supervised(workers, time_limit, memory_limit) as runner:
-        if run.suffix == ".json":
-            asked = _Judged(run, campaign, measurements, tuple(experiment or ()))
+        if run.suffix == ".json" or (run / "diagnosis.json").is_file():
+            file = run if run.suffix == ".json" else run / "diagnosis.json"
+            asked = _Judged(file, campaign, measurements, tuple(experiment or ()))
             printer.write(_diagnosis_validation(asked, printer, runner))
             return 0
         if measurements is not None:
@@ -220,6 +221,7 @@ def diagnose(
     ] = True,
     trust: Trust = False,
     json: Json = None,
+    json_version: Annotated[int, typer.Option(min=2, max=3, help="Version of the JSON written with --json.")] = 3,
     quiet: Quiet = False,
 ) -> None:
     """Locate the gap between model and measurements, and name the unmodelled effect that causes it.
@@ -231,6 +233,7 @@ def diagnose(
     Example: fmuid diagnose runs/force_feedback
     """
     from fmuid.diagnosis.corrected import FOLDER
+    from fmuid.diagnosis.verdict import as_version_2
     from fmuid.diagnosis_pipeline import FILE_NAME, JOURNAL, answer_of, campaign_from
     from fmuid.diagnosis_pipeline import diagnose as run
     from fmuid.simulation.pool.remote import dask_executor
@@ -273,7 +276,7 @@ def diagnose(
     if left_open and not found.subject.observed.nuisances:  # segments begin where a run was measured
         further = shlex.join(["fmuid", "design", str(folder), "--for", "diagnosis"])
         printer.next(further, "the run that best settles what is still open")
-    printer.write(answer)
+    printer.write(as_version_2(answer) if json_version == 2 else answer)
 
 
 def report(
@@ -322,6 +325,7 @@ class _Judged(NamedTuple):
 
 def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> dict[str, Any]:
     from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.diagnosis.corrected import FOLDER
     from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
 
     answer = read_diagnosis(asked.file)
@@ -330,8 +334,16 @@ def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> d
         raise FmuidError("no campaign to validate on", where=asked.file, fix="give one as second argument")
     loaded, file = load_campaign(campaign), asked.measurements
     others = None if file is None else load_campaign(campaign, measurements=file, judged=True)
+    written = asked.file.parent / FOLDER / "campaign.toml"
+    corrected = (
+        load_campaign(written, measurements=file, judged=file is not None)
+        if answer.get("corrected") and written.is_file()
+        else None
+    )
     with printer.working("simulating the runs"):
-        found = validate_diagnosis(answer, loaded, others=others, experiments=asked.experiments, runner=runner)
+        found = validate_diagnosis(
+            answer, loaded, others=others, corrected=corrected, experiments=asked.experiments, runner=runner
+        )
     print_validation(found, answer, printer)
     return {"diagnosis": asked.file, "campaign": campaign, **found.to_dict()}
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out
+from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out, predicted_left_out
 from fmuid.diagnosis.horizon import approached, early
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
 from fmuid.diagnosis.projection import project_off
@@ -32,21 +32,20 @@ class Fitted:
     ----------
     effects
         All effects in the model.
-    names
-        Effects named as causes. The others only change the shape of a named effect that the signals cannot
-        distinguish from them.
     held_out
         Losses on held-out experiments.
     judged
         The same, beyond the errors that the other experiments leave in the parameters.
+    left_out
+        Parameters refitted without each fold, one mapping per fold.
     """
 
     effects: tuple[str, ...]
-    names: tuple[str, ...]
     fit: Refit
     held_out: HeldOut
     judged: HeldOut
     gap: float
+    left_out: tuple[Mapping[str, float], ...] = ()
 
     @property
     def id(self) -> str:
@@ -77,14 +76,15 @@ def fit_effects(
         )
     except SimulationError:
         return None
-    ids = tuple(e.id for e in effects)
+    observed, model = subject.observed, subject.model
+    left_out = predicted_left_out(fit, observed, model)
     return Fitted(
-        ids,
-        ids,
+        tuple(e.id for e in effects),
         fit,
-        leave_each_out(fit, subject.observed),
-        leave_each_out(fit, subject.observed, within_errors=True),
-        gap(fit.residuals, subject.observed),
+        leave_each_out(fit, observed, predictions=left_out.residuals),
+        leave_each_out(fit, observed, within_errors=True, predictions=left_out.residuals),
+        gap(fit.residuals, observed),
+        left_out.values,
     )
 
 
@@ -92,7 +92,7 @@ def refitted(subject: Subject, fitted: Fitted, *, iterations: int = 12, toleranc
     """Refit a model from where it is; return it as it was if it cannot be simulated."""
     effects = [subject.by_id[id] for id in fitted.effects]
     again = fit_effects(subject, effects, [fitted.fit.values], iterations=iterations, tolerance=tolerance)
-    return fitted if again is None else replace(again, names=fitted.names)
+    return fitted if again is None else again
 
 
 def better_nominal(subject: Subject, nominal: Fitted, candidates: Sequence[Fitted]) -> Fitted | None:
@@ -182,19 +182,25 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     added = fit_effects(subject, effects, found) if found else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
-    return None if added is None else replace(added, names=(*fitted.names, effect.id))
+    return added
 
 
-def moved(subject: Subject, fitted: Fitted, name: str, score: Score) -> Fitted | None:
-    """Refit `fitted` with the scored law in place of the same one at another port, from where it is."""
+def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> Fitted | None:
+    """Refit `fitted` with some effects `exchanged` for the same laws at other ports, from where it is."""
     by_id = subject.by_id
-    effect, old = by_id[score.effect], by_id[name]
-    values = {**fitted.fit.values, **old.neutral}
-    pairs = zip(effect.unknowns, old.unknowns, strict=False)
-    same = {u.name: float(np.clip(fitted.fit.values[v.name], u.lower, u.upper)) for u, v in pairs}
-    sizes = [{**values, **effect.neutral, **trial} for trial in (same, *score.trials)]
+    values = dict(fitted.fit.values)
+    for name in exchanged:
+        values |= by_id[name].neutral
+    same: dict[str, float] = {}
+    for name, score in exchanged.items():
+        values |= by_id[score.effect].neutral
+        pairs = zip(by_id[score.effect].unknowns, by_id[name].unknowns, strict=False)
+        same |= {u.name: float(np.clip(fitted.fit.values[v.name], u.lower, u.upper)) for u, v in pairs}
+    trials = [t for score in exchanged.values() for t in score.trials] if len(exchanged) == 1 else []
+    sizes = [{**values, **trial} for trial in (same, *trials)]
     start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed))
-    effects = [*(by_id[n] for n in fitted.effects if n != name), effect]
+    kept = [by_id[n] for n in fitted.effects if n not in exchanged]
+    effects = [*kept, *(by_id[score.effect] for score in exchanged.values())]
     return fit_effects(subject, effects, [start]) if np.isfinite(cost) else None
 
 
@@ -205,7 +211,7 @@ def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:
     shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
     unbent = {**added.fit.values, **subject.starts, **effect.neutral}
     found = over_horizons(subject, effects, added, unbent, list(shapes.values()))
-    return replace(escaped(subject, effects, found), names=added.names)
+    return escaped(subject, effects, found)
 
 
 def over_horizons(
@@ -253,7 +259,7 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
 def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
     """Refit `fitted` with each of its effects replaced by those that were left out in its favour."""
     found = []
-    for name in fitted.names if fitted.names == fitted.effects else ():
+    for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
         rest = without(subject, fitted, name) if same else None
         if rest is not None:
@@ -280,16 +286,6 @@ def _best_start(
         costs.append(float(residual @ residual))
     best = int(np.argmin(costs))
     return starts[best], costs[best]
-
-
-def contribution(subject: Subject, fitted: Fitted, name: str) -> float:
-    """Return by how many sigmas an effect of `fitted` moves the predictions, with the others fixed."""
-    neutral = subject.by_id[name].neutral
-    (outcome,) = subject.model.predict([{**fitted.fit.values, **neutral}])
-    if isinstance(outcome, SimulationError):
-        return 0.0
-    moved = stack(subject.observed.residuals(outcome), subject.observed)
-    return float(np.linalg.norm(moved - stack(fitted.fit.residuals, subject.observed)))
 
 
 def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:

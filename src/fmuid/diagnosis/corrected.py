@@ -15,12 +15,16 @@ from fmu_build.flat_model import FlatModel, constant, number
 from fmu_build.model_ports import places
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
+from fmuid.core.errors import SimulationError
 from fmuid.core.files import path_from, write_atomically
 from fmuid.core.toml_tables import read_toml, toml_document
+from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.state_places import model_exchange, state_of, with_laws
 from fmuid.diagnosis.subject import Subject, carrier
 from fmuid.effects.effect import Effect
 from fmuid.identification.identified_models import start_values, write_models
+from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.coupled.loading import load_model
 from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner
@@ -37,11 +41,16 @@ _COMMUTE = ("gain", "lag", "delay")  # effects that commute with the differentia
 
 @dataclass(frozen=True, slots=True)
 class Corrected:
-    """The files written: the folder, its models and source, and notes for the user."""
+    """The files written: the folder, its models and source, and notes for the user.
+
+    `differs` is the root mean square difference of its prediction from the fitted one, in standard deviations of
+    the noise.
+    """
 
     folder: Path
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
+    differs: float = 0.0
 
 
 def write_corrected(
@@ -82,6 +91,45 @@ def write_corrected(
         return None
     document = _Document(campaign, subject, effects, {**subject.model.expanded(values)}, folder)
     return document.write(runner)
+
+
+def difference(written: Corrected, subject: Subject, fitted: Fitted, *, runner: Runner) -> float:
+    """Simulate the corrected campaign, and return how much it differs from the fitted prediction.
+
+    Returns
+    -------
+    float
+        Root mean square over all samples, in standard deviations of a single run's noise.
+
+    Raises
+    ------
+    SimulationError
+        A run cannot be simulated.
+    """
+    from fmuid.campaigns.campaign_toml import load_campaign
+    from fmuid.simulation.coupled.loading import load_simulator
+
+    campaign = load_campaign(written.folder / "campaign.toml")
+    cases = subject.model.cases_at(fitted.fit.values)
+    chosen = [campaign.measurements[case.id] for case in cases]
+    simulators = {case.setup: load_simulator(campaign.models[case.setup]) for case in cases}
+    again = {case.id: case for case in in_segments(campaign, chosen, simulators, campaign.start_values)}
+    same = tuple(replace(again[case.id], task=case.task, lead=case.lead) for case in cases)
+    outcomes = [
+        *subject.model.predict([fitted.fit.values]),
+        *CampaignModel(same, runner, campaign.start_values).predict([{}]),
+    ]
+    predictions = []
+    for outcome in outcomes:
+        if isinstance(outcome, SimulationError):
+            raise outcome
+        predictions.append(outcome)
+    energy, count = 0.0, 0
+    for run, a, b in zip(subject.observed.runs, *predictions, strict=True):
+        sigma = subject.observed.noise[run.setup].of_mean(1)
+        energy += float(np.sum(((a - b) / sigma[:, None]) ** 2))
+        count += a.size
+    return float(np.sqrt(energy / count))
 
 
 class _Document:

@@ -1,18 +1,19 @@
 """Judging models on experiments that were not used to fit them.
 
-Each experiment is left out in turn. The parameters for the other experiments come from one Gauss-Newton step at
-the full estimate (exact for a linear model, and sufficient to distinguish an effect from chance), so a round of
-cross-validation costs linear algebra, not simulations. A parameter of a single experiment, or of a machine with no
-other experiment, is fitted to that experiment itself, and the loss allows for it.
+Each experiment is left out in turn. The parameters for the other experiments come from a Gauss-Newton step at the
+full estimate, which a simulation of the experiment left out has to confirm; otherwise, they are refitted. A
+parameter of a single experiment, or of a machine with no other experiment, is fitted to that experiment itself,
+and the loss allows for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.core.campaign import SEPARATOR
 from fmuid.core.immutable import FloatArray, read_only
@@ -22,6 +23,10 @@ from fmuid.diagnosis.projection import orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
+_CONFIRMED = 1.1  # energy of a simulated residual, relative to the predicted one, up to which a linear step holds
+_CHORDS = 6  # steps of a refit without an experiment
+_HALVINGS = 5  # of a step
+_SETTLED = 0.5  # fall of the cost, in squared standard deviations, that ends a refit
 _ALIKE = 3e-7  # of columns that differ only by rounding; a ridge is lost beside large columns
 
 
@@ -55,40 +60,201 @@ class HeldOut:
         return float(np.sqrt(max(0.0, self.mean)))
 
 
-def leave_each_out(fit: Refit, observed: Observed, *, within_errors: bool = False) -> HeldOut:
-    """Return the losses of `fit` with each experiment (or piece of one) predicted from the others.
+def leave_each_out(
+    fit: Refit,
+    observed: Observed,
+    *,
+    within_errors: bool = False,
+    predictions: Sequence[FloatArray] | None = None,
+) -> HeldOut:
+    """Compute the losses of `fit` with each experiment (or piece of one) predicted from the others.
 
-    With `within_errors`, a prediction may miss by as much as the other experiments leave its parameters uncertain:
-    residuals are whitened with their predictive covariance. What only one experiment shows is then no evidence
-    against a model that fits it; what the others contradict is.
+    Parameters
+    ----------
+    within_errors
+        A prediction may miss by as much as the other experiments leave its parameters uncertain: residuals are
+        whitened with their predictive covariance. What only one experiment shows is then no evidence against a
+        model that fits it; what the others contradict is.
+    predictions
+        Whitened residuals of each fold at the parameters of the other experiments (`predicted_left_out`); by
+        default, those of a linear step.
     """
-    steps = np.array([u.step for u in fit.unknowns])
-    lower = np.array([u.lower for u in fit.unknowns])
-    upper = np.array([u.upper for u in fit.unknowns])
-    x = np.array([fit.values[u.name] for u in fit.unknowns])
-    inside = (x > lower + 1e-6 * steps) & (x < upper - 1e-6 * steps)
-    parts = [fit.jacobian[e][rows][:, inside] * steps[inside] for e, rows in observed.folds]
-    residuals = [fit.residuals[e][rows] for e, rows in observed.folds]
-    repeats = [observed.repeats[e] for e, _ in observed.folds]
-    # What an experiment says about the parameters, as few rows of equations, and the residuals they should cancel.
-    equations = [
-        np.linalg.qr(np.sqrt(n) * np.column_stack([p, -r]), mode="r")
-        for n, p, r in zip(repeats, parts, residuals, strict=True)
-    ]
-    prior = np.eye(int(inside.sum()), int(inside.sum()) + 1) / _PRIOR_STEPS
-    of_one = np.array([SEPARATOR in u.name for u in fit.unknowns], dtype=bool)[inside]
-    seen = np.array([p.any(axis=0) for p in parts])
+    steps = _Steps.of(fit, observed)
+    seen = np.array([p.any(axis=0) for p in steps.parts])
     predicted, taken = [], []
-    for k, group in enumerate(observed.groups):
-        out = np.array(observed.groups) == group
-        others = np.vstack([prior, *(equations[i] for i in np.flatnonzero(~out))])
-        left = residuals[k] + parts[k] @ _solved(others)
+    for k in range(len(observed.folds)):
+        out = steps.out(k)
+        others = steps.others(out)
+        scaled = steps.parts[k]
+        left = steps.residuals[k] + scaled @ _solved(others) if predictions is None else predictions[k]
         if within_errors:
-            left = _standardised(left, np.sqrt(repeats[k]) * parts[k] @ _spread(others))
-        basis = orthonormal(parts[k][:, of_one & seen[k] & ~seen[~out].any(axis=0)])
+            left = _standardised(left, np.sqrt(steps.repeats[k]) * scaled @ _spread(others))
+        basis = orthonormal(scaled[:, steps.of_one & seen[k] & ~seen[~out].any(axis=0)])
         predicted.append(project_off(left, basis))
         taken.append(basis)
     return losses(predicted, observed, taken)
+
+
+def predicted_left_out(fit: Refit, observed: Observed, model: _Predicts) -> LeftOutFit:
+    """Simulate each fold at parameters that are refitted to the other experiments.
+
+    One linear step gives the parameters, within their bounds. Where the simulation does not confirm what the step
+    predicts, further steps follow, each shortened until it lowers the cost of the other experiments, until none
+    does (chord method: the Jacobian of the full estimate is kept).
+
+    """
+    steps = _Steps.of(fit, observed)
+    solved = {group: _solved(steps.others(steps.groups == group)) for group in dict.fromkeys(observed.groups)}
+    points = {group: steps.moved(move) for group, move in solved.items()}
+    wanted = [(e, points[group]) for (e, _), group in zip(observed.folds, observed.groups, strict=True)]
+    found: list[FloatArray | None] = []
+    for k, outcome in enumerate(model.residuals_of(wanted, observed)):
+        linear = steps.residuals[k] + steps.parts[k] @ solved[observed.groups[k]]
+        part = None if outcome is None else outcome[observed.folds[k][1]]
+        found.append(part if part is not None and _confirmed(part, linear) else None)
+    residuals: dict[int, tuple[FloatArray, ...]] = {}  # of all experiments, by the group that a refit left out
+    for k, part in enumerate(found):
+        group, (e, rows) = observed.groups[k], observed.folds[k]
+        if part is None and group not in residuals:
+            points[group], residuals[group] = _refitted_without(steps, steps.out(k), observed, model)
+        if part is None:
+            found[k] = residuals[group][e][rows]
+    return LeftOutFit(
+        tuple(points[group] for group in observed.groups), tuple(part for part in found if part is not None)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOutFit:
+    """For each fold, the parameters refitted to the other experiments, and its whitened residual there."""
+
+    values: tuple[Mapping[str, float], ...]
+    residuals: tuple[FloatArray, ...]
+
+
+def _confirmed(simulated: FloatArray, linear: FloatArray) -> bool:
+    """Whether a simulation leaves no more than a linear step predicts, within a tenth of the energy."""
+    return float(simulated @ simulated) <= _CONFIRMED * max(float(linear @ linear), linear.size)
+
+
+def _refitted_without(
+    steps: _Steps, out: NDArray[np.bool_], observed: Observed, model: _Predicts
+) -> tuple[dict[str, float], tuple[FloatArray, ...]]:
+    """Return the parameters refitted to the folds that are not `out`, and the residuals of every experiment."""
+    inside = [k for k in range(len(out)) if not out[k]]
+
+    def cost(residuals: Sequence[FloatArray]) -> float:
+        return sum(
+            float(steps.repeats[k] * (r @ r))
+            for k in inside
+            for r in [residuals[observed.folds[k][0]][observed.folds[k][1]]]
+        )
+
+    here, step = list(steps.fit.residuals), np.zeros(steps.parts[0].shape[1])
+    for _ in range(_CHORDS):
+        now = [here[e][rows] for e, rows in observed.folds]
+        further = _solved(steps.others(out, now, step))
+        lengths = [0.5**n for n in range(_HALVINGS)]
+        points = [steps.moved(step + length * further) for length in lengths]
+        better = next(
+            (
+                (length, r)
+                for length, point in zip(lengths, points, strict=True)
+                if (r := model.residuals_at(point, observed)) is not None and cost(r) < cost(here)
+            ),
+            None,
+        )
+        if better is None:
+            break
+        gained = cost(here) - cost(better[1])
+        step, here = step + better[0] * further, list(better[1])
+        if gained < _SETTLED:
+            break
+    return steps.moved(step), tuple(here)
+
+
+class _Predicts(Protocol):
+    """Simulates left-out experiments; None stands for a simulation that fails."""
+
+    def residuals_of(
+        self, wanted: Sequence[tuple[int, Mapping[str, float]]], observed: Observed
+    ) -> list[FloatArray | None]:
+        """Return the whitened residual of each wanted experiment, by its number, at some values."""
+        ...
+
+    def residuals_at(self, values: Mapping[str, float], observed: Observed) -> tuple[FloatArray, ...] | None:
+        """Return the whitened residuals of all experiments."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Steps:
+    """Linear steps of the parameters that are inside their bounds, in units of their steps.
+
+    `parts` and `residuals` are the Jacobian's rows and the residuals of each fold; `factors` are the QR
+    decompositions of the former, weighted by the root of the repeats. `of_one` marks parameters of a single
+    experiment or machine.
+    """
+
+    fit: Refit
+    inside: NDArray[np.bool_]
+    steps: FloatArray
+    parts: tuple[FloatArray, ...]
+    residuals: tuple[FloatArray, ...]
+    factors: tuple[tuple[FloatArray, FloatArray], ...]
+    repeats: tuple[float, ...]
+    groups: NDArray[np.intp]
+    of_one: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, fit: Refit, observed: Observed) -> _Steps:
+        """Return the steps around a fit."""
+        steps = np.array([u.step for u in fit.unknowns])
+        lower = np.array([u.lower for u in fit.unknowns])
+        upper = np.array([u.upper for u in fit.unknowns])
+        x = np.array([fit.values[u.name] for u in fit.unknowns])
+        inside = np.asarray((x > lower + 1e-6 * steps) & (x < upper - 1e-6 * steps), dtype=bool)
+        parts = tuple(fit.jacobian[e][rows][:, inside] * steps[inside] for e, rows in observed.folds)
+        repeats = tuple(float(observed.repeats[e]) for e, _ in observed.folds)
+        factors = (np.linalg.qr(np.sqrt(n) * part) for n, part in zip(repeats, parts, strict=True))
+        return cls(
+            fit,
+            inside,
+            steps[inside],
+            parts,
+            tuple(fit.residuals[e][rows] for e, rows in observed.folds),
+            tuple((np.asarray(q), np.asarray(r)) for q, r in factors),
+            repeats,
+            np.array(observed.groups),
+            np.array([SEPARATOR in u.name for u in fit.unknowns], dtype=bool)[inside],
+        )
+
+    def out(self, fold: int) -> NDArray[np.bool_]:
+        """Return which folds are left out with a fold."""
+        return np.asarray(self.groups == self.groups[fold])
+
+    def others(
+        self, out: NDArray[np.bool_], residuals: Sequence[FloatArray] | None = None, done: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the equations for a step of the folds that are not `out`, after `done` of it."""
+        left = self.residuals if residuals is None else residuals
+        count = self.parts[0].shape[1]
+        prior = np.eye(count, count + 1) / _PRIOR_STEPS
+        if done is not None:
+            prior[:, -1] = -done / _PRIOR_STEPS
+        rows = [prior]
+        for k, ((q, r), n, residual) in enumerate(zip(self.factors, self.repeats, left, strict=True)):
+            if not out[k]:
+                rows.append(np.column_stack([r, -np.sqrt(n) * (q.T @ residual)]))
+        return np.vstack(rows)
+
+    def moved(self, step: FloatArray) -> dict[str, float]:
+        """Return the parameters after a step, within their bounds."""
+        values = dict(self.fit.values)
+        free = [u for u, k in zip(self.fit.unknowns, self.inside, strict=True) if k]
+        for u, size, length in zip(free, self.steps, step, strict=True):
+            values[u.name] = float(np.clip(values[u.name] + size * length, u.lower, u.upper))
+        return values
 
 
 def _solved(equations: FloatArray) -> FloatArray:
@@ -150,8 +316,8 @@ def closure(before: _WithGap, after: _WithGap) -> float:
 
 
 def share_closed(before: float, after: float) -> float:
-    """Return 1 - G1/G0, the share of a gap that is closed; 0 if there was no gap."""
-    return 1.0 - after / before if before > 0.0 else 0.0
+    """Compute 1 - G1/G0, the share of a gap that is closed: 0 if there was no gap, and at least -1."""
+    return max(-1.0, 1.0 - after / before) if before > 0.0 else 0.0
 
 
 def closure_interval(

@@ -13,7 +13,7 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed
 from fmuid.diagnosis.ports import Decoy
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import stack
-from fmuid.diagnosis.verdict import NONE, UNKNOWN, Kind
+from fmuid.diagnosis.verdict import NONE, UNKNOWN, Closure, Kind
 from fmuid.effects.effect import Effect, Unknown
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
@@ -29,6 +29,8 @@ SAME = 4.0  # standard deviations by which the data must contradict an answer, o
 SURE = 0.9  # probability of what is named without repeats: the level of all intervals
 OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
 _EQUAL = 0.25  # standard deviations between answers: if one is true, odds stay below 2 in 99 of 100 recordings
+_IDENTICAL = 1e-3  # of what effects do to the predictions: less than any coupling but a rigid one leaves
+_INTERVAL = 1.645  # standard errors: the 90 % interval of what is gained excludes zero
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
 
 
@@ -108,42 +110,44 @@ def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) ->
     sets: dict[frozenset[str], Fitted] = {}
     for c in (best, *sorted(candidates, key=lambda c: c.fit.cost)):
         if _comparable(best, c):
-            sets.setdefault(frozenset(c.names), c)
+            sets.setdefault(frozenset(c.effects), c)
     for c in sets.values():  # `best` predicts left-out experiments best, but the data may speak against it
         best = c if log_odds(c, best, observed) >= np.log(OPEN) else best
     others = (c for c in sets.values() if c is not best and log_odds(best, c, observed) < np.log(OPEN))
     return best, *others
 
 
-def said_once(
-    candidates: Sequence[Fitted], effects: Mapping[str, Effect], observed: Observed
+def merge_equivalent(
+    candidates: Sequence[Fitted], nominal: Fitted, effects: Mapping[str, Effect], observed: Observed
 ) -> tuple[tuple[Fitted, ...], ...]:
-    """Return the models in classes that predict the same and differ in their laws alone, not in the places.
+    """Group models whose predictions are identical.
 
-    Friction that differs between the directions is plain friction where a shaft never reverses; a bearing whose
-    damping deviates has viscous friction at its shaft. The most usual and simplest of a class comes first, and
-    stands for it.
+    Models at different places are one if their predictions differ by less than a thousandth of what their effects
+    do: rigidly coupled shafts are one place, and the limit of a heater is its gain. Friction that differs between
+    the directions is plain friction where a shaft never reverses: laws of one place need only be equal within the
+    noise. The most usual and simplest of a group comes first, and stands for it.
     """
 
     def preference(fitted: Fitted) -> list[tuple[bool, int, bool]]:
-        return sorted(effects[name].preference for name in fitted.names)
+        return sorted(effects[name].preference for name in fitted.effects)
 
     def alike(a: Fitted, b: Fitted) -> bool:
-        if len(a.names) != len(b.names) or set(a.names) == set(b.names):
-            return False
-        own, others = (sorted((effects[name] for name in x.names), key=_component) for x in (a, b))
-        if not all(map(_at_one_place, own, others)):
+        if len(a.effects) != len(b.effects) or set(a.effects) == set(b.effects):
             return False
         _, apart, _ = _compared(a, b, observed, None)
-        return apart <= _EQUAL
+        if apart > _EQUAL:
+            return False
+        _, moved, _ = _compared(nominal, a, observed, None)
+        here, others = (sorted((effects[name] for name in x.effects), key=_component) for x in (a, b))
+        return apart <= _IDENTICAL * moved or all(map(_at_one_place, here, others))
 
     classes: list[list[Fitted]] = []
     for fitted in sorted(candidates, key=preference):
-        own = next((c for c in classes if alike(c[0], fitted)), None)
-        if own is None:
+        group = next((c for c in classes if alike(c[0], fitted)), None)
+        if group is None:
             classes.append([fitted])
         else:
-            own.append(fitted)
+            group.append(fitted)
     return tuple(map(tuple, classes))
 
 
@@ -156,12 +160,12 @@ def _at_one_place(a: Effect, b: Effect) -> bool:
     """Return whether two effects have one port, or one is a value of the component at which the other acts."""
     if a.port == b.port:
         return True
-    return a.id.startswith("value@") != b.id.startswith("value@") and _component(a) == _component(b)
+    return (a.law == "value") != (b.law == "value") and _component(a) == _component(b)
 
 
 def _comparable(best: Fitted, other: Fitted) -> bool:
     """Return whether another model has as many effects and leaves about as much of the gap."""
-    return len(other.names) == len(best.names) and other.gap <= ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
+    return len(other.effects) == len(best.effects) and other.gap <= ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
 
 
 def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> bool | None:
@@ -171,8 +175,10 @@ def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Obse
     """
     if len(observed.runs) < 3:
         return None
-    named = {frozenset(s.names) for s in surviving}
-    others = [r for r in rivals if frozenset(r.names) not in named and len(r.names) <= len(surviving[0].names)]
+    named = {frozenset(s.effects) for s in surviving}
+    others = [
+        r for r in rivals if frozenset(r.effects) not in named and len(r.effects) <= len(surviving[0].effects)
+    ]
     return all(
         separation(surviving[0], rival, observed, without=e) > -SAME
         for e in range(len(observed.runs))
@@ -180,9 +186,9 @@ def stable(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Obse
     )
 
 
-def worth_adding(before: Fitted, after: Fitted) -> bool:
+def worth_adding(before: Fitted, after: Fitted, least: float = GAIN_OF_A_SECOND) -> bool:
     """Return whether another effect closes enough of the remaining gap, also on held-out experiments."""
-    if closure(before, after) < GAIN_OF_A_SECOND:
+    if closure(before, after) < least:
         return False
     for worse, better in ((before.held_out, after.held_out), (before.judged, after.judged)):
         gained, error = advantage(better, worse)
@@ -206,7 +212,7 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
     experiment. It then suffices that the effects complete the model, unless *unknown* is more likely.
     """
     closed = closed_by(nominal, best)
-    likely = closed * len(best.names) >= _doubt(closed)
+    likely = closed * len(best.effects) >= _doubt(closed)
     return closed >= CLOSURE_THAT_NAMES or (
         likely and finished and closure(nominal, best) >= CLOSURE_THAT_FINISHES
     )
@@ -231,7 +237,7 @@ def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
     other bounds, the law imitates something other than its effect. Natural bounds, where the law itself ends, do
     not count.
     """
-    for effect in (e for e in effects if e.id in fitted.names):
+    for effect in (e for e in effects if e.id in fitted.effects):
         near = {u.name: 0.01 * u.step for u in effect.unknowns}
         at = {
             u.name: bound
@@ -268,6 +274,7 @@ def weigh(
     rivals: Sequence[Fitted] = (),
     *,
     seen: bool = True,
+    provisional: bool = False,
 ) -> dict[tuple[str, ...], float]:
     """Return the probability of every surviving answer, of `NONE` and of `UNKNOWN`, before calibration.
 
@@ -275,7 +282,7 @@ def weigh(
     leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
     insufficient, the odds against `NONE` grow with the gap: they are half of it, in floors, for `UNKNOWN`, and a
     sixth for effects, as found in single runs of rigs other than actuators. If no gap was `seen`, there may still
-    be one of a floor.
+    be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open.
     """
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
@@ -287,12 +294,13 @@ def weigh(
         case "unknown":
             none, unknown, named = 1e-3, 0.95, 0.05
         case _:
-            none, unknown, named = 1e-3, max(0.02, _doubt(closed)), max(1e-3, closed)
+            doubt = 1.0 - closed if provisional else _doubt(closed)
+            none, unknown, named = 1e-3, max(0.02, doubt), max(1e-3, closed)
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
     odds = [log_odds(s, surviving[0], observed) for s in surviving]  # the first one need not be the likeliest
     for s, own in zip(surviving, odds, strict=True):
-        weights[s.names] = max(1e-6, named * float(np.exp(own - max(odds))))
+        weights[s.effects] = max(1e-6, named * float(np.exp(own - max(odds))))
     total = sum(weights.values())
     return {effects: w / total for effects, w in weights.items()}
 
@@ -301,12 +309,18 @@ def _of_rivals(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: 
     """Return the weight, relative to the best answer, of as large sets of effects that have not survived."""
     if not surviving:
         return 0.0
-    named = {frozenset(s.names) for s in surviving}
+    named = {frozenset(s.effects) for s in surviving}
     others = {
-        frozenset(r.names): r for r in sorted(rivals, key=lambda r: -r.fit.cost) if _comparable(surviving[0], r)
+        frozenset(r.effects): r for r in sorted(rivals, key=lambda r: -r.fit.cost) if _comparable(surviving[0], r)
     }
     odds = [log_odds(surviving[0], r, observed) for names, r in others.items() if names not in named]
     return float(sum(min(1.0 / OPEN, np.exp(-max(0.0, o))) for o in odds))
+
+
+def closes_something(nominal: Fitted, fitted: Fitted, closed: Closure) -> bool:
+    """Return whether a model closes a share of the gap on left-out data beyond chance."""
+    gained, error = advantage(fitted.held_out, nominal.held_out)
+    return closed.held_out > 0.0 and (closed.interval[0] > 0.0 or gained > _INTERVAL * error)
 
 
 def _doubt(closed: float) -> float:

@@ -45,6 +45,7 @@ from fmuid.diagnosis.verdict import (
     NONE,
     UNKNOWN,
     Answer,
+    Best,
     Candidate,
     Closure,
     Diagnosis,
@@ -73,9 +74,9 @@ class Found(Plottable):
     nominal
         The nominal model, refitted.
     best
-        The model that fits best, named or not.
+        The best explanation of the gap, named or not; None if nothing closes a part of it.
     surviving
-        The named answers, the best first.
+        The named answers, the likeliest first.
     candidates
         All refitted models.
     scores
@@ -104,8 +105,8 @@ class Found(Plottable):
 
     @property
     def corrected(self) -> Fitted:
-        """The best answer; the nominal model if none is named."""
-        return self.surviving[0] if self.surviving else self.nominal
+        """The best explanation of the gap; the nominal model if there is none."""
+        return self.nominal if self.best is None else self.best
 
     def __str__(self) -> str:
         """Return verdict, place and size of the gap, and the likeliest effects."""
@@ -214,28 +215,42 @@ def diagnose_subject(
     nominal, scores, evidence, paths = found.nominal, found.scores, found.evidence, found.paths
     if found.best is not None and evidence.present:
         found = replace(found, candidates=[*found.candidates, *twins(subject, found.best, scores)])
-    classes = decide.said_once(found.candidates, subject.by_id, observed)
-    firsts = {id(fitted): own[0] for own in classes for fitted in own}
+    classes = decide.merge_equivalent(found.candidates, nominal, subject.by_id, observed)
+    firsts = {id(fitted): group[0] for group in classes for fitted in group}
     candidates = [fitted for fitted in found.candidates if firsts[id(fitted)] is fitted]
     best = None if found.best is None else firsts.get(id(found.best), found.best)
     found = replace(found, candidates=candidates, best=best)
-    judgement = _judge(subject, found, say)
+    closing = _Closing(subject, nominal, evidence.null)
+    judgement = _judge(subject, found, closing, say)
     say("deciding", 0.95)
-    verdict = judgement.verdict
-    weights = decide.weigh(nominal, judgement.surviving, observed, verdict.kind, candidates, seen=evidence.present)
+    weights = decide.weigh(
+        nominal,
+        judgement.surviving,
+        observed,
+        judgement.verdict.kind,
+        candidates,
+        seen=evidence.present,
+        provisional=judgement.verdict.provisional,
+    )
     calibrated = shipped() if calibration is None else calibration
-    probability = calibrated.apply(verdict, weights)
-    if judgement.named and calibrated.trials and observed.bounded and says(verdict, probability) < decide.SURE:
-        verdict = Verdict("insufficient")  # what is left may be slow noise, which the odds do not know of
-        judgement = replace(judgement, verdict=verdict)
-    corrected = judgement.named[0] if judgement.named else nominal
+    probability = calibrated.apply(judgement.verdict, weights)
+    judgement = _ranked(judgement, probability, calibrated=calibrated.trials > 0)
+    verdict = judgement.verdict
+    if judgement.named:
+        at = (subject.by_id[id].port for same in _equivalents(classes, judgement.named) for id in same.effects)
+        verdict = replace(verdict, ports=tuple(dict.fromkeys((*verdict.ports, *at))))
+    explained = judgement.named[0] if judgement.named else _explaining(found, closing)
+    corrected = nominal if explained is None else explained
     ambiguous = verdict.kind == "ambiguous"
     following = suggest(subject, judgement.surviving) if ambiguous else None
+    alternatives = (*judgement.surviving, *_equivalents(classes, judgement.named))
     beyond = decide.SAME if following is None else following.separation_sigma
-    closing = _Closing(subject, nominal, found.prediction, evidence.null)
     answers = [
-        Answer(s.names, probability[s.names], closing(s)) for s in judgement.surviving if s.names in probability
+        Answer(s.effects, probability[s.effects], closing(s))
+        for s in judgement.surviving
+        if s.effects in probability
     ]
+    equal = tuple(tuple(fitted.effects for fitted in group) for group in classes if len(group) > 1)
     answers += [Answer(name, probability[name]) for name in (NONE, UNKNOWN)]
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -263,7 +278,7 @@ def diagnose_subject(
         ),
         model={**model.expanded(corrected.fit.values)},
         next_experiment=following,
-        added_sensor=sensor_to_add(subject, judgement.surviving, beyond=beyond) if ambiguous else None,
+        added_sensor=sensor_to_add(subject, alternatives, beyond=beyond) if len(alternatives) > 1 else None,
         port_closures={port: entry.closure for port, entry in judgement.entered.items()},
         power=evidence.power,
         hidden=hidden(scores),
@@ -271,16 +286,18 @@ def diagnose_subject(
             *subject.findings,
             *_failed(scores),
             *_shown_once(nominal, judgement.named),
-            *_said_once(classes, judgement.named),
+            *_equal_notes(classes, judgement.named),
             *((calibrated.note,) if calibrated.trials else ()),
         ),
         outliers=subject.outliers,
+        best=None if explained is None else closing.best(explained),
+        equal=equal,
     )
     return Found(
         diagnosis,
         subject,
         nominal,
-        found.best,
+        explained,
         judgement.named,
         tuple(candidates),
         tuple(scores),
@@ -342,7 +359,7 @@ def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:
     most = (1.0 + _UNSETTLED) * best.fit.cost
     refined: dict[int, Fitted] = {}
     for k, fitted in enumerate(found.candidates):
-        if fitted is best or (len(fitted.names) == len(best.names) and fitted.fit.cost <= most):
+        if fitted is best or (len(fitted.effects) == len(best.effects) and fitted.fit.cost <= most):
             subject = tightened(subject, [fitted.fit.values])
             refined[k] = refitted(subject, fitted, tolerance=_TO_THE_END)
     subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
@@ -368,12 +385,40 @@ def _shown_once(nominal: Fitted, named: Sequence[Fitted]) -> Iterator[str]:
             )
 
 
-def _said_once(classes: Sequence[Sequence[Fitted]], named: Sequence[Fitted]) -> Iterator[str]:
-    """Yield a note for each answer that other laws at its places are indistinguishable from."""
+def _equivalents(classes: Sequence[Sequence[Fitted]], named: Sequence[Fitted]) -> list[Fitted]:
+    """Return the models that are the same as those named."""
+    return [one for first, *others in classes if any(first is fitted for fitted in named) for one in others]
+
+
+def _equal_notes(classes: Sequence[Sequence[Fitted]], named: Sequence[Fitted]) -> Iterator[str]:
+    """Yield a note for each answer that is the same model under other names."""
     for answer, *others in classes:
         if others and any(answer is one for one in named):
-            same = " or ".join(dict.fromkeys(" and ".join(o.names) for o in others))
-            yield f"In these runs, {same} would be the same as {' and '.join(answer.names)}."
+            same = " or ".join(dict.fromkeys(" and ".join(o.effects) for o in others))
+            yield f"In these runs, {same} would be the same as {' and '.join(answer.effects)}."
+
+
+def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], *, calibrated: bool) -> Judgement:
+    """Put the likeliest answer first, and mark a verdict that is less than nine-tenths sure as provisional."""
+    verdict = judgement.verdict
+    if not judgement.named:
+        return judgement
+    surviving = tuple(sorted(judgement.surviving, key=lambda s: -probability.get(s.effects, 0.0)))
+    unsure = calibrated and says(verdict, probability) < decide.SURE
+    alternatives = {frozenset((*verdict.effects, *others)): others for others in verdict.one_of}
+    one_of = tuple(alternatives[frozenset(s.effects)] for s in surviving) if verdict.one_of else ()
+    verdict = replace(verdict, one_of=one_of, provisional=verdict.provisional or unsure)
+    return replace(judgement, verdict=verdict, surviving=surviving)
+
+
+def _explaining(found: _Searched, closing: _Closing) -> Fitted | None:
+    """Return the model that closes most of the gap on left-out data; None if none closes anything."""
+    if not found.evidence.present:
+        return None
+    explaining = [
+        c for c in found.candidates if c.effects and decide.closes_something(found.nominal, c, closing(c))
+    ]
+    return min(explaining, key=lambda c: c.held_out.mean, default=None)
 
 
 def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:
@@ -407,7 +452,7 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     return Evidence(present, p_value, null, power)
 
 
-def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
+def _judge(subject: Subject, found: _Searched, closing: _Closing, say: Say) -> Judgement:
     """Return the verdict: the surviving answers, the evidence of free functions against them, and the rest."""
     observed, nominal, paths = subject.observed, found.nominal, found.paths
     evidence = found.evidence
@@ -418,8 +463,8 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
     done = best is not None and finished(subject, best, found.scores, found.noise)
     at = {e.id: e.port for e in subject.effects}
-    named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.names))
-    own = [at[n] for n in best.names] if best is not None else []
+    named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.effects))
+    own = [at[n] for n in best.effects] if best is not None else []
     named_at_all = best is not None and plausible and decide.names(nominal, best, finished=done)
     sure = (
         best is not None
@@ -442,23 +487,30 @@ def _judge(subject: Subject, found: _Searched, say: Say) -> Judgement:
         imitated = decide.lumped(best, _decoys(subject, found, own[0]))
         if imitated and sure:
             entered = where_it_enters(subject, nominal)
-    if best is None or not named_at_all or imitated:
-        # Without repeats, a gap that no effect explains may be slow noise.
+    # Without repeats, a gap that no effect explains may be slow noise, unless a law fitted to some runs predicts
+    # it in others.
+    doubted = best is None or not named_at_all or imitated
+    predicts = best is not None and plausible and decide.closes_something(nominal, best, closing(best))
+    provisional = doubted and observed.bounded and predicts
+    if best is None or (doubted and not provisional):
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *found.candidates], observed)
     if part is not None:
         best = part.fitted
-        named = tuple(dict.fromkeys(at[n] for n in best.names))
+        named = tuple(dict.fromkeys(at[n] for n in best.effects))
         beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))
-        return Judgement(Verdict("partial", best.names, (), named, stable, beside), (best,), entered)
+        return Judgement(Verdict("partial", best.effects, (), named, stable, beside), (best,), entered)
     rest = None if done else Rest(best.gap, _where_left(subject, best, paths))
     if len(surviving) == 1:
-        return Judgement(Verdict("effect", best.names, (), named, stable, rest), surviving, entered)
-    common = set.intersection(*(set(s.names) for s in surviving))
-    one_of = tuple(tuple(n for n in s.names if n not in common) for s in surviving)
-    shared = tuple(n for n in best.names if n in common)
-    return Judgement(Verdict("ambiguous", shared, one_of, named, stable, rest), surviving, entered)
+        kind = "partial" if provisional and rest is not None and not named_at_all else "effect"
+        verdict = Verdict(kind, best.effects, (), named, stable, rest, provisional)
+        return Judgement(verdict, surviving, entered)
+    common = set.intersection(*(set(s.effects) for s in surviving))
+    one_of = tuple(tuple(n for n in s.effects if n not in common) for s in surviving)
+    shared = tuple(n for n in best.effects if n in common)
+    verdict = Verdict("ambiguous", shared, one_of, named, stable, rest, provisional)
+    return Judgement(verdict, surviving, entered)
 
 
 def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], bool]:
@@ -475,7 +527,9 @@ def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], 
         return (), False
     surviving = decide.survivors(best, candidates, subject.observed)
     kept = plausible(surviving)
-    if not kept and (fewer := plausible(c for c in candidates if c.names and set(c.names) < set(best.names))):
+    if not kept and (
+        fewer := plausible(c for c in candidates if c.effects and set(c.effects) < set(best.effects))
+    ):
         kept = plausible(decide.survivors(decide.best_of(fewer), candidates, subject.observed))
     return kept or surviving, bool(kept)
 
@@ -511,16 +565,15 @@ def _sure_part(subject: Subject, nominal: Fitted, best: Fitted, *, alike: bool) 
     `alike`, the rest may also be how they differ.
     """
     entered = places(where_it_enters(subject, best))
-    acting = {e.id: {e.port, e.port.rpartition(".")[0] * e.id.startswith("value@")} for e in subject.effects}
+    acting = {e.id: {e.port, e.port.rpartition(".")[0] * (e.law == "value")} for e in subject.effects}
     resembling = alike and closure(nominal.held_out, best.held_out) < decide.CLOSURE_OF_ITS_KIND
     doubtful = [n for n in best.effects if resembling and acting[n] & set(entered)]
-    names = tuple(n for n in best.names if n not in doubtful)
-    part: Fitted | None = best if names else None
+    part: Fitted | None = best if len(doubtful) < len(best.effects) else None
     for name in doubtful:
         part = without(subject, part, name) if part is not None else None
     if part is None or closure(nominal.held_out, part.held_out) < decide.CLOSURE_THAT_NAMES:
         return None
-    return _Part(replace(part, names=names), places(where_it_enters(subject, part)) if doubtful else entered)
+    return _Part(part, places(where_it_enters(subject, part)) if doubtful else entered)
 
 
 def _where_left(
@@ -539,23 +592,33 @@ def _where_left(
     return words + (f" (it enters at {' or '.join(entered)})" if entered else "")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Closing:
     """How far models close the gap that the refitted nominal one leaves."""
 
     subject: Subject
     nominal: Fitted
-    prediction: Prediction
     null: Null
+    _known: dict[int, tuple[Fitted, Closure]] = field(default_factory=dict, init=False, repr=False)
 
     def __call__(self, fitted: Fitted) -> Closure:
-        nominal = self.nominal
-        return Closure(
-            closure(nominal, fitted),
-            closure(nominal.held_out, fitted.held_out),
-            self._interval(fitted),
-            self._physical(fitted),
-        )
+        if id(fitted) not in self._known:
+            nominal = self.nominal
+            closed = Closure(
+                closure(nominal, fitted),
+                closure(nominal.held_out, fitted.held_out),
+                self._interval(fitted),
+                self._errors(fitted)[""],
+            )
+            self._known[id(fitted)] = fitted, closed
+        return self._known[id(fitted)][1]
+
+    def best(self, fitted: Fitted) -> Best:
+        """Return a model as the best explanation."""
+        errors = {name: own for name, own in self._errors(fitted).items() if name}
+        of_effects = {u.name for id in fitted.effects for u in self.subject.by_id[id].unknowns}
+        parameters = {n: e for n, e in estimates(fitted, self.subject).items() if n in of_effects}
+        return Best(fitted.effects, self(fitted), fitted.gap, errors, parameters)
 
     def _interval(self, fitted: Fitted) -> tuple[float, float]:
         """Return the range in which the closure on a new experiment with a gap is expected to lie.
@@ -569,26 +632,35 @@ class _Closing:
         seen = [in_sample(model.fit, self.subject.observed) for model in (self.nominal, fitted)]
         return low, max(high, closure_interval(seen[0], seen[1], null=self.null)[1])
 
-    def _physical(self, fitted: Fitted) -> dict[str, PhysicalGap]:
-        sums: dict[str, FloatArray] = {}
-        units: dict[str, str] = {}
-        after = _prediction(self.subject, fitted.fit.values)
-        observed = self.subject.observed
-        for case, run, *predictions in zip(
-            self.subject.model.cases, observed.runs, self.prediction, after, strict=True
-        ):
+    def _errors(self, fitted: Fitted) -> dict[str, dict[str, PhysicalGap]]:
+        """Return errors by experiment and signal, and under an empty name those over all experiments.
+
+        Each fold is predicted by the models without it.
+        """
+        subject, observed = self.subject, self.subject.observed
+        sums: dict[tuple[str, str], FloatArray] = {}
+        wanted = [[(e, values) for (e, _), values in zip(observed.folds, m.left_out, strict=True)]
+                  for m in (self.nominal, fitted)]  # fmt: skip
+        befores, afters = (subject.model.predict_at(points) for points in wanted)
+        pieces = iter(observed.fold_times)
+        for (e, _), (begin, end), before, after in zip(observed.folds, pieces, befores, afters, strict=True):
+            if isinstance(before, SimulationError) or isinstance(after, SimulationError):
+                continue
+            case, run = subject.model.cases[e], observed.runs[e]
+            sigma = observed.noise[run.setup].of_mean(run.n_repeats)
             for c, channel in enumerate(case.channels):
-                count = float(run.mask[c].sum())
-                sigma = observed.noise[run.setup].of_mean(run.n_repeats)[c]
-                squares = [float(np.sum(((p[c] - run.mean[c]) * run.mask[c]) ** 2)) for p in predictions]
+                mask = run.mask[c, begin:end]
+                squares = [float(np.sum(((p[c] - run.mean[c])[begin:end] * mask) ** 2)) for p in (before, after)]
                 factor = channel.to_shown.factor**2
-                own = np.array([count, *(factor * x for x in squares), factor * count * sigma**2])
-                sums[channel.signal] = sums.get(channel.signal, np.zeros(4)) + own
-                units[channel.signal] = channel.shown_unit
-        return {
-            name: PhysicalGap(units[name], *(float(np.sqrt(x / total[0])) for x in total[1:]))
-            for name, total in sums.items()
-        }
+                part = np.array([mask.sum(), *(factor * x for x in (*squares, mask.sum() * sigma[c] ** 2))])
+                for name in ("", case.id):
+                    sums[name, channel.signal] = sums.get((name, channel.signal), np.zeros(4)) + part
+        units = {c.signal: c.shown_unit for case in subject.model.cases for c in case.channels}
+        found: dict[str, dict[str, PhysicalGap]] = {"": {}}
+        for (name, signal), total in sums.items():
+            rms = (float(np.sqrt(x / total[0])) if total[0] else 0.0 for x in total[1:])
+            found.setdefault(name, {})[signal] = PhysicalGap(units[signal], *rms)
+        return found
 
 
 def _candidates(
@@ -601,9 +673,9 @@ def _candidates(
     closing: _Closing,
 ) -> tuple[Candidate, ...]:
     # An effect is credited with its own closure; the effects of an answer, with their joint closure.
-    best_with = {fitted.names[0]: fitted for fitted in candidates if len(fitted.effects) == 1}
+    best_with = {fitted.effects[0]: fitted for fitted in candidates if len(fitted.effects) == 1}
     for answer in reversed(surviving):
-        best_with |= dict.fromkeys(answer.names, answer)
+        best_with |= dict.fromkeys(answer.effects, answer)
     drops = {s.effect: s.drop for s in scores}
     known = {id(fitted): (closing(fitted), estimates(fitted, subject)) for fitted in best_with.values()}
     found = []

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cache, partial
+from itertools import combinations
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     Fitted,
     add_effect,
-    contribution,
     led_out,
     moved,
     refitted,
@@ -33,17 +32,17 @@ _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
 _EARLY_BESIDE = 2  # the same of further effects
 _SHARE = 0.05  # least score for a refit, as a share of the best score
-_LED_OUT = 2  # of the effects refitted together with the same effects, in addition to the early ones
+_EXTENDED = 2  # of the effects refitted together, those whose refits are extended to escape local minima
 _PAIRS = 4  # further effects tried in addition to the best
-_ABOUT_AS_MUCH = 1.5  # ratio below which two effects of the same shape move the predictions about as much
 _SCORED = 8  # effects that are scored again when another is added
 _CLOSE = 0.5  # least score for being tried in place of another effect, as a share of the best score
 _ITERATIONS = 40  # of a refit to the end
 _MOST = 3  # largest number of effects together
-_SHAPE = 0.1  # share of the gap (a hundredth of its energy) up to which a further law there only shapes the first
+_GAIN = 0.1  # share of the remaining gap that a further effect closes before others are tried with it
+_SHAPE = 0.1  # share of the gap (a hundredth of its energy) that the plant's shape of a law may leave of ours
 _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
 _OF_TIME = ("lag", "delay", "drift")  # properties of a signal that are no shape of a law of its value
-_ALIKE = 0.9  # correlation of signatures above which a further effect counts as another shape of the first
+_ALIKE = 0.9  # correlation of signatures above which a law may stand in for another one
 
 _Rest = Callable[[Fitted, str], Fitted | None]
 """A model and one of its effects -> the refit without it."""
@@ -59,6 +58,11 @@ def search(
     present: bool,
 ) -> tuple[list[Fitted], Fitted | None]:
     """Return every model that was refitted, and the best one.
+
+    Sets of effects grow as long as a further effect predicts left-out experiments better. In each round, effects
+    are added, replaced by others, and moved to other ports, alone and in pairs. Finally, effects that the others
+    make unnecessary are dropped: each that remains closes enough of the gap beside all others, even if it closes
+    little alone.
 
     Parameters
     ----------
@@ -83,28 +87,21 @@ def search(
     if present:  # the same law at another port may have ended in a local minimum
         candidates += _moved(subject, best, candidates, scores)
         best = decide.best_of(candidates)
-    signatures = _signatures(subject, nominal, candidates, scores)
+    signatures = _signatures(subject, nominal, candidates, scores)[0]
     without_one = cache(partial(without, subject))
-    while present and len(best.effects) <= _MOST and best.gap > GAP_THAT_MATTERS:
+    while present and len(best.effects) < _MOST and best.gap > GAP_THAT_MATTERS:
         if (ended := _to_the_end(subject, best)) is not best:
             candidates.append(best := ended)
-        say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.names))
-        known = best.gap < _SHAPE * nominal.gap
+        say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.effects))
+        shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
         company = [
-            replace(c, names=best.names)
-            if _shaped(best, c, signatures) is not None or (known and _same_place(subject, c, signatures))
-            else c
+            c
             for c in _company(subject, best, scores, noise)
+            if not (shape and _same_place(subject, c, signatures))
         ]
-        company = [c for c in company if len(c.names) <= _MOST]
-        if not company:
+        better = decide.best_of(company) if company else None
+        if better is None or not decide.worth_adding(best, better, _GAIN):
             break
-        better = decide.best_of(company)
-        if not decide.worth_adding(best, better):
-            break
-        first = _shaped(best, better, signatures)
-        if first is not None:
-            better, company = _renamed(subject, better, first, company)
         candidates += company
         best = _exchanged(subject, better, candidates, scores, without_one)
     return candidates, _pruned(best, candidates, without_one)
@@ -157,56 +154,35 @@ def _signatures(
             moved = project_off(stack(fitted.fit.residuals, subject.observed) - base, basis)
             length = float(np.linalg.norm(moved))
             if length > 1.0:
-                refitted[fitted.names[0]] = moved / length
+                refitted[fitted.effects[0]] = moved / length
     return {s.effect: s.signature for s in scores if s.signature is not None}, refitted
 
 
-def _shaped(before: Fitted, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> str | None:
-    """Return the effect in `before` that the newest effect in `after` acts like, at trial size or as refitted."""
-    new = after.effects[-1]
-    alike = {
-        name: max(
-            (similarity(own[new], own[name]) for own in signatures if {new, name} <= own.keys()), default=0.0
-        )
-        for name in before.names
-    }
-    name = max(alike, key=lambda n: alike[n], default=None)
-    return name if name is not None and alike[name] > _ALIKE else None
+def _same_place(subject: Subject, after: Fitted, signatures: Mapping[str, FloatArray]) -> bool:
+    """Return whether the newest effect in `after` acts where an earlier one does, or nearly does the same.
 
-
-def _same_place(subject: Subject, after: Fitted, signatures: Sequence[Mapping[str, FloatArray]]) -> bool:
-    """Return whether the newest effect in `after` acts at the same place as an earlier one.
-
-    That is its own port, or one that no law present at both ports distinguishes from it. The value of a held
-    parameter acts wherever its component does. A lag, delay or drift of a signal is always a separate effect.
+    Where it acts is its own port, or one that no law present at both ports distinguishes from it. The value of a
+    held parameter acts wherever its component does. A lag, delay or drift of a signal is always a separate effect.
     """
-    ports = {e.id: e.port for e in subject.effects}
-    newest = subject.by_id[after.effects[-1]]
-    if any(u.name.rpartition(".")[2] in _OF_TIME for u in newest.unknowns):
+    *others, newest = (subject.by_id[id] for id in after.effects)
+    if newest.law in _OF_TIME:
         return False
-    new, before = newest.port, {ports[name] for name in after.effects[:-1]}
-    if new in before or newest.id.startswith("value@"):
+    before = {e.port for e in others}
+    if newest.port in before or newest.law == "value":
         return True
-    tried = signatures[0]
-    at = {(id.partition("@")[0], ports[id]): s for id, s in tried.items() if "@" in id}
+    if any(
+        similarity(signatures[newest.id], signatures[e.id]) > _ALIKE
+        for e in others
+        if {newest.id, e.id} <= signatures.keys()
+    ):
+        return True
+    at = {(e.law, e.port): signatures[e.id] for e in subject.effects if e.id in signatures}
     return any(
-        similarity(own, at[law, old]) > _SAME_PLACE
-        for (law, port), own in at.items()
+        similarity(signature, at[law, old]) > _SAME_PLACE
+        for (law, port), signature in at.items()
         for old in before
-        if port == new and (law, old) in at
+        if port == newest.port and (law, old) in at
     )
-
-
-def _renamed(subject: Subject, better: Fitted, first: str, company: list[Fitted]) -> tuple[Fitted, list[Fitted]]:
-    """Name whichever does more: the last effect, or the `first` that it shapes; both if about as much."""
-    new = better.effects[-1]
-    named, shape = (contribution(subject, better, name) for name in (first, new))
-    swapped = replace(better, names=tuple(new if n == first else n for n in better.names))
-    if max(named, shape) < _ABOUT_AS_MUCH * min(named, shape):
-        return better, [*company, swapped]
-    if shape > named:
-        return swapped, [swapped if c is better else c for c in company]
-    return better, company
 
 
 def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
@@ -256,7 +232,7 @@ def _added(
         added = add_effect(subject, fitted, score)
         found += [(added, score)] if added is not None else []
     found.sort(key=lambda pair: pair[0].fit.cost)
-    likely = {score.effect for _, score in found[:_LED_OUT]}.union(early)
+    likely = {score.effect for _, score in found[:_EXTENDED]}.union(early)
     for k, (added, score) in enumerate(found):
         if score.effect in likely:
             say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(found))
@@ -279,17 +255,17 @@ def _exchanged(
     added to the `candidates`: sets that fit equally well are open answers.
     """
     explored = {frozenset(best.effects[:-1])}  # others were tried in addition to these
-    while best.effects == best.names:
-        around = {frozenset(best.effects) - {name}: name for name in best.names}
+    while True:
+        around = {frozenset(best.effects) - {name}: name for name in best.effects}
         fresh = [(rest, name) for rest, name in around.items() if rest not in explored]
         if not fresh:
-            break
+            return best
         candidates += _moved(subject, best, candidates, scores)
+        candidates += _crossed(subject, best, candidates, scores)
         for rest, name in fresh:
             explored.add(rest)
             candidates += _replaced(subject, without_one(best, name), candidates, scores)
-        best = decide.best_of([c for c in candidates if len(c.names) == len(best.names)])
-    return best
+        best = decide.best_of([c for c in candidates if len(c.effects) == len(best.effects)])
 
 
 def _moved(
@@ -300,17 +276,34 @@ def _moved(
     Sets that are known to fit about as well are left out.
     """
     good = {frozenset(c.effects) for c in candidates if c.fit.cost <= about(best.fit.cost)}
+    by_id = subject.by_id
     signatures = {s.effect: s.signature for s in scores if s.signature is not None}
-    for name in best.names:
-        law, at, _ = name.partition("@")
-        rest, own = frozenset(best.effects) - {name}, signatures.get(name)
-        for score in (s for s in scores if at and s.effect.startswith(law + at) and s.effect not in best.effects):
+    for name in best.effects:
+        rest, before = frozenset(best.effects) - {name}, signatures.get(name)
+        for score in (s for s in scores if s.effect not in best.effects):
             there = signatures.get(score.effect)
-            alike = own is not None and there is not None and similarity(own, there) > _ALIKE
+            same = by_id[score.effect].law == by_id[name].law != "value"
+            alike = same and before is not None and there is not None and similarity(before, there) > _ALIKE
             if alike and rest | {score.effect} not in good:
-                found = moved(subject, best, name, score)
+                found = moved(subject, best, {name: score})
                 if found is not None:
                     yield found
+
+
+def _crossed(
+    subject: Subject, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
+) -> Iterator[Fitted]:
+    """Yield refits of `best` with two of its laws at each other's ports, which no single exchange leads to."""
+    known = {frozenset(c.effects) for c in candidates}
+    by_id, at = subject.by_id, {(subject.by_id[s.effect].law, subject.by_id[s.effect].port): s for s in scores}
+    for a, b in combinations(best.effects, 2):
+        first, second = (at.get((by_id[x].law, by_id[y].port)) for x, y in ((a, b), (b, a)))
+        if first is None or second is None or by_id[a].law == by_id[b].law:
+            continue
+        if frozenset(best.effects) - {a, b} | {first.effect, second.effect} not in known:
+            found = moved(subject, best, {a: first, b: second})
+            if found is not None:
+                yield found
 
 
 def _replaced(
@@ -325,12 +318,12 @@ def _replaced(
 
 
 def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitted:
-    """Leave out of `best`, one by one, the effects that later ones have made unnecessary.
+    """Leave out of `best`, one by one, the effects that are not worth adding to the others.
 
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
     """
     while len(best.effects) > 1:
-        simpler = [_left(best, without_one(best, name)) for name in best.effects]
+        simpler = [without_one(best, name) for name in best.effects]
         enough = [
             s for s in simpler if s is not None and (s.gap <= GAP_THAT_MATTERS or not decide.worth_adding(s, best))
         ]
@@ -339,10 +332,3 @@ def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitte
         best = decide.best_of(enough)
         candidates.append(best)
     return best
-
-
-def _left(before: Fitted, after: Fitted | None) -> Fitted | None:
-    """Return a model with an effect less: what shaped a named effect that is gone takes its place."""
-    if after is None or set(before.names) - set(after.effects):
-        return after
-    return replace(after, names=before.names)

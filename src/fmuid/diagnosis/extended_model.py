@@ -14,6 +14,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.diagnosis.observed import Observed
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
@@ -265,6 +266,24 @@ class CampaignModel:
     def predict_cases(self, wanted: Sequence[tuple[int, Task, Mapping[str, float]]]) -> list[Outcome]:
         """Return the (C, N) prediction of a case, by its number, as a variant of its task at some values."""
         return self._sensed([_Wanted(k, replace(self.cases[k], task=task), values) for k, task, values in wanted])
+
+    def predict_at(self, wanted: Sequence[tuple[int, Mapping[str, float]]]) -> list[Outcome]:
+        """Return the (C, N) prediction of each wanted case, by its number, at some values."""
+        return self._sensed([_Wanted(k, self.cases_at(values)[k], values) for k, values in wanted])
+
+    def residuals_of(
+        self, wanted: Sequence[tuple[int, Mapping[str, float]]], observed: Observed
+    ) -> list[FloatArray | None]:
+        """Return the whitened residual of each wanted case, by its number, at some values; None where it fails."""
+        return [
+            None if isinstance(outcome, SimulationError) else observed.residual(k, outcome)
+            for (k, _), outcome in zip(wanted, self.predict_at(wanted), strict=True)
+        ]
+
+    def residuals_at(self, values: Mapping[str, float], observed: Observed) -> tuple[FloatArray, ...] | None:
+        """Return the whitened residuals of all cases at some values; None if one cannot be simulated."""
+        (outcome,) = self.predict([values])
+        return None if isinstance(outcome, SimulationError) else observed.residuals(outcome)
 
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]

@@ -84,7 +84,7 @@ def rival_of(fitted: Fitted, observed: Observed, *, draws: int = 1, seed: int = 
     names = [u.name for u in unknowns]
     drawn = tuple(dict(zip(names, np.clip(x, lower, upper).tolist(), strict=True)) for x in points)
     left = float(np.mean(observed.repeats)) * fitted.gap**2
-    return Rival(fitted.names, unknowns, information, drawn, stack(fit.residuals, observed), left)
+    return Rival(fitted.effects, unknowns, information, drawn, stack(fit.residuals, observed), left)
 
 
 def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:

@@ -91,6 +91,17 @@ class Observed:
         )
 
     @cached_property
+    def fold_times(self) -> tuple[tuple[int, int], ...]:
+        """The samples of each fold: begin and end."""
+        return tuple(
+            (a, b)
+            for run, w in zip(self.runs, self.whiteners, strict=True)
+            for a, b in (
+                [(a, b) for a, b, _ in w.pieces] if isinstance(w, PiecewiseWhitener) else [(0, len(run.time))]
+            )
+        )
+
+    @cached_property
     def groups(self) -> tuple[int, ...]:
         """(F,) group of each fold: runs with the same input and conditions are left out together."""
         first: dict[object, int] = {}
@@ -142,6 +153,11 @@ class Observed:
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector per experiment."""
         return self.whiten([p - r.mean for p, r in zip(predictions, self.runs, strict=True)])
+
+    def residual(self, experiment: int, prediction: FloatArray) -> FloatArray:
+        """Return the whitened residual of one experiment, by its number: (C * N,)."""
+        part = self.whiteners[experiment](prediction - self.runs[experiment].mean).ravel()
+        return part if not self.nuisances else project_off(part, self.nuisances[experiment])
 
     def whiten(self, differences: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Whiten differences of predictions: (C, N) to (C * N,), one per experiment, nuisances projected off."""

@@ -210,7 +210,7 @@ def _search(
             cost_tolerance=tolerance,
             step_tolerance=1e-8,
         )
-    except (SettledError, _ExhaustedError, SimulationError) as ended:
+    except (SettledError, _ExhaustedError, SimulationError, np.linalg.LinAlgError) as ended:
         return cost, best, isinstance(ended, SettledError)
     return cost, best, True
 
@@ -305,8 +305,11 @@ class _Campaign:
         room = np.stack([self.lower - x, self.upper - x]) / self.steps
         free = room[0] < room[1]
         r = self.vector(x)
-        with np.errstate(over="ignore", invalid="ignore"):  # the model may grow without limit
-            found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # the model may grow without limit
+                found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
+        except np.linalg.LinAlgError:  # slopes without a limit promise nothing
+            return 0.0
         return float(r @ r) - 2.0 * float(found.cost)
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:

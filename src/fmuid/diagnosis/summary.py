@@ -29,7 +29,7 @@ def summary(diagnosis: Mapping[str, Any]) -> list[str]:
             f"Or add a sensor: {sensor['description']} ({sensor['separation_sigma']:.3g} standard deviations)"
         )
     if diagnosis["verdict"]["kind"] == "ambiguous" and not (following or sensor):
-        lines.append("Next experiment: fmuid design --for diagnosis searches for a run that settles it")
+        lines.append("Next experiment: fmuid design --for diagnosis searches for a run that separates them")
     if diagnosis["verdict"]["kind"] == "complete" and diagnosis.get("power"):
         lines.append(f"Smallest effects that would have been seen: {_smallest(diagnosis['power'])}")
     lines += machine_lines(diagnosis)
@@ -85,8 +85,6 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     gap, verdict = diagnosis["gap"], diagnosis["verdict"]
     sure = verdict["kind"] in ("complete", "effect") and probability(diagnosis) > 0.5
     found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
-    if verdict["kind"] == "insufficient":
-        found.append(Fact("What to do", _more_data(diagnosis)))
     meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
     described = [n for n in named(verdict) if meant.get(n)]
     if described:
@@ -116,7 +114,12 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         )
     if verdict["kind"] == "unknown" or (verdict["kind"] == "insufficient" and gap["present"]):
         found += _closest(diagnosis)
-    return (*found, *_law_found(diagnosis))
+    found += _law_found(diagnosis)
+    if verdict.get("provisional"):
+        found.append(Fact("How sure", _provisional(diagnosis), "warn"))
+    if verdict["kind"] == "insufficient":
+        found.append(Fact("What to do", _more_data(diagnosis)))
+    return tuple(found)
 
 
 def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -125,15 +128,18 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     lines = [f"{verdict_text(diagnosis)}."]
     best = next((a for a in diagnosis["answers"] if a.get("closure")), None)
     if named(verdict) and best is not None:
-        closure = best["closure"]
-        low, high = closure["interval"]
         with_what = "With it" if len(best["effects"]) == 1 else "With them"
         if verdict["kind"] == "ambiguous":
             with_what = f"With {_listed(best['effects'], 'and')}"
+        lines.append(f"{with_what}, {_reduction(best['closure'])}.")
+    elif diagnosis.get("best"):
+        explained = diagnosis["best"]
         lines.append(
-            f"{with_what}, {closure['held_out']:.2f} of the gap is closed on held-out runs"
-            f" ({low:.2f} to {high:.2f})."
+            f"The best explanation is {_listed(explained['effects'], 'with')}: with it,"
+            f" {_reduction(explained['closure'])}."
         )
+    if verdict.get("provisional"):
+        lines.append(_provisional(diagnosis))
     if verdict.get("rest"):
         lines.append(f"What is left: {_rest_text(verdict['rest'])}.")
     if verdict["kind"] == "insufficient":
@@ -147,6 +153,30 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
             f" ({low:.2f} to {high:.2f})."
         )
     return lines
+
+
+def _reduction(closure: Mapping[str, Any]) -> str:
+    """Return by how much an error falls on left-out data, in the signal's unit, and the share of the gap."""
+    low, high = closure["interval"]
+    share = f"{closure['held_out']:.2f} of the gap is closed ({low:.2f} to {high:.2f})"
+    errors = closure.get("physical") or {}
+    shown = {n: e for n, e in errors.items() if e["floor"] > 0.0}
+    if not shown:
+        return f"{share} on data that were not used"
+    name = max(shown, key=lambda n: shown[n]["before"] / shown[n]["floor"])
+    error = shown[name]
+    unit = f" {error['unit']}" if error["unit"] else ""
+    return (
+        f"the error of {name} falls from {error['before']:.3g} to {error['after']:.3g}{unit} on data that were not"
+        f" used; {share}"
+    )
+
+
+def _provisional(diagnosis: Mapping[str, Any]) -> str:
+    """Return why a verdict is not certain."""
+    if not diagnosis["gap"].get("calibrated", True):
+        return "This is provisional: no run was repeated, so slow noise is not excluded."
+    return "This is provisional: something that the catalogue does not contain may explain the gap as well."
 
 
 def named(verdict: Mapping[str, Any]) -> list[str]:
@@ -222,11 +252,10 @@ def _beside(law: Mapping[str, Any]) -> str:
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return the closest explanation if none is named."""
-    sets = [*diagnosis["answers"], *({**e, "effects": [e["id"]]} for e in diagnosis["effects"])]
-    judged = [a for a in sets if a.get("closure")]
-    found = []
-    if judged:
-        best = max(judged, key=lambda a: a["closure"]["held_out"])
+    best, found = diagnosis.get("best"), []
+    if best is None:
+        found.append("nothing in the catalogue closes a part of it on left-out data")
+    else:
         too_little = best["closure"]["held_out"] < CLOSURE_THAT_NAMES
         least = f", too little to be named (it takes {CLOSURE_THAT_NAMES:g})" if too_little else ""
         names = " + ".join(best["effects"])
@@ -245,20 +274,21 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     sure = f" ({100 * probability(diagnosis):.0f} %)"
     are = "is" if len(effects) == 1 else "are"
     missing = f"{_listed(effects, 'and')} {are} missing" if effects else ""
+    likely = "most likely, " if verdict.get("provisional") else ""
     # Ids of generated catalogues already contain the port.
     at = f" at {', '.join(ports)}" if len(ports) == 1 and not any("@" in n for n in named(verdict)) else ""
     match verdict["kind"]:
         case "complete":
             return f"Complete{sure}: nothing is missing that these experiments could show"
         case "effect":
-            return _capital(f"{missing}{at}{sure}")
+            return _capital(f"{likely}{missing}{at}{sure}")
         case "partial":
-            return _capital(f"{missing}{at}{sure}, and something else that no effect explains")
+            return _capital(f"{likely}{missing}{at}{sure}, and something else that no effect explains")
         case "ambiguous":
             others = [_listed(names, "with") for names in verdict["one_of"]]
             either = " or ".join(others)
             either = f"{missing}, and either {either}" if effects else f"{either} is missing"
-            return _capital(f"{either}{at}{sure}: these sensors and experiments cannot tell them apart")
+            return _capital(f"{likely}{either}{at}{sure}: these sensors and experiments cannot tell them apart")
         case "unknown":
             at = f" at {' or '.join(ports)}" if ports else ""
             return f"Unknown effect{at}{sure}: no effect in the catalogue explains it"

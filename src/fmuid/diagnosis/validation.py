@@ -16,12 +16,13 @@ from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
 from fmuid.diagnosis.cross_validation import closure_interval, losses, share_closed
-from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.segment_states import with_states
 from fmuid.diagnosis.subject import model_of
 from fmuid.identification.problem.cases import experiments_of
+from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.runners import Runner, in_process
 
 
@@ -91,10 +92,10 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     if (
         not isinstance(answer, dict)
         or answer.get("format") != "fmuid-diagnosis"
-        or answer.get("version") not in (1, 2)
+        or answer.get("version") not in (1, 2, 3)
     ):
         raise FmuidError(
-            "is not a diagnosis, version 1 or 2", where=path, fix="give a file written by fmuid diagnose"
+            "is not a diagnosis, version 1 to 3", where=path, fix="give a file written by fmuid diagnose"
         )
     verdict = answer.get("verdict")
     if not isinstance(verdict, dict) or not {"kind", "effects"} <= verdict.keys():
@@ -130,6 +131,7 @@ def validate_diagnosis(
     campaign: Campaign,
     *,
     others: Campaign | None = None,
+    corrected: Campaign | None = None,
     experiments: Sequence[str] = (),
     runner: Runner = in_process,
 ) -> DiagnosisValidation:
@@ -143,6 +145,9 @@ def validate_diagnosis(
         The diagnosed campaign, or one with an ``[effects]`` table that names the same catalogue.
     others
         The same campaign with other recordings, on which to validate.
+    corrected
+        The corrected campaign that the diagnosis wrote: its own models and values are simulated. By default, the
+        models are built again from the values in `answer`.
     experiments
         Ids or globs. By default, the campaign's validation set, or all of its runs if it has none, without those
         that the diagnosis was made from. Repeats of named runs are included if they were not used.
@@ -174,7 +179,9 @@ def validate_diagnosis(
             where=campaign.name,
             fix="validate on runs of the model that was diagnosed",
         )
-    outcomes = model.predict(points)
+    outcomes = model.predict(points[: 1 if corrected is not None else 2])
+    if corrected is not None:
+        outcomes += _of_corrected(corrected, campaign, chosen, runner)
     predictions = []
     for outcome in outcomes:
         if isinstance(outcome, SimulationError):
@@ -197,6 +204,19 @@ def validate_diagnosis(
     gaps, interval = _gaps(floor, predictions), _interval(floor, predictions)
     notes = _of_others(points[0], model)
     return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used, notes)
+
+
+def _of_corrected(
+    corrected: Campaign, campaign: Campaign, chosen: Sequence[Experiment], runner: Runner
+) -> list[Prediction | SimulationError]:
+    """Return the prediction of the chosen runs by the models and values of a corrected campaign."""
+    from fmuid.simulation.coupled.loading import load_simulator
+
+    setups = dict.fromkeys(e.setup for e in chosen)
+    simulators = {s: load_simulator(corrected.models[s]) for s in setups}
+    there = replace(corrected, measurements=campaign.measurements)
+    cases = in_segments(there, chosen, simulators, corrected.start_values)
+    return CampaignModel(cases, runner, corrected.start_values).predict([{}])
 
 
 def _of_others(values: Mapping[str, float], model: CampaignModel) -> tuple[str, ...]:

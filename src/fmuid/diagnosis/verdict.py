@@ -1,4 +1,4 @@
-"""Verdict and results of a diagnosis, and their JSON form (format ``fmuid-diagnosis``, version 2)."""
+"""Verdict and results of a diagnosis, and their JSON form (format ``fmuid-diagnosis``, version 3)."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ class Verdict:
         judged.
     rest
         The gap that the effects leave, if it exceeds the noise.
+    provisional
+        Whether slow noise or something unknown is not excluded: the probability is below 0.9, but what the effects
+        close on left-out data is more than chance.
     """
 
     kind: Kind
@@ -46,6 +49,7 @@ class Verdict:
     ports: tuple[str, ...] = ()
     stable: bool | None = None
     rest: Rest | None = None
+    provisional: bool = False
 
     @property
     def answers(self) -> tuple[tuple[str, ...], ...]:
@@ -113,7 +117,7 @@ class PhysicalGap:
     Attributes
     ----------
     before, after
-        Gap with the nominal parameters refitted, and with the effects added.
+        Error on left-out data with the nominal parameters refitted, and with the effects added.
     floor
         The gap that noise alone leaves in the mean of the repeats.
     """
@@ -135,7 +139,7 @@ class Closure:
     interval
         The 90 % interval of the latter.
     physical
-        By signal, the gap before and after, over all runs.
+        By signal, the error on left-out data before and after, over all runs.
     """
 
     train: float
@@ -146,6 +150,71 @@ class Closure:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {**asdict(self), "interval": list(self.interval)}
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """A smooth table that corrects the shape of a law, over the law's own variable at its own port.
+
+    Attributes
+    ----------
+    effect
+        Id of the effect whose law it refines; its JSON name is ``law``.
+    x, y
+        (n,) knots of the variable, and what the table adds to the law there.
+    """
+
+    effect: str
+    port: str
+    variable: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    unit: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        table = {"x": list(self.x), "y": list(self.y), "unit": self.unit}
+        return {"law": self.effect, "port": self.port, "variable": self.variable, "table": table}
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """The best explanation of the gap, whatever the verdict.
+
+    Attributes
+    ----------
+    effects
+        Its effects; the corrected model contains them.
+    closure
+        Closure of the gap, as for an answer.
+    gap
+        The remaining gap, in noise floors.
+    by_experiment
+        By experiment and signal, the errors on left-out data before and after.
+    parameters
+        Parameters of the effects.
+    """
+
+    effects: tuple[str, ...]
+    closure: Closure
+    gap: float
+    by_experiment: Mapping[str, Mapping[str, PhysicalGap]] = field(default_factory=dict)
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    refinements: tuple[Refinement, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            "effects": list(self.effects),
+            "refinements": [r.to_dict() for r in self.refinements],
+            "closure": self.closure.to_dict(),
+            "gap": self.gap,
+            "rms": {name: asdict(p) for name, p in self.closure.physical.items()},
+            "by_experiment": {
+                e: {name: asdict(p) for name, p in signals.items()} for e, signals in self.by_experiment.items()
+            },
+            "parameters": {name: asdict(e) for name, e in self.parameters.items()},
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,6 +466,10 @@ class Diagnosis:
         The law found, or the reason for none, where the verdict leaves more than noise and a law was looked for.
     machines
         Differences between machines, if runs of several were diagnosed.
+    best
+        The best explanation of the gap; None if there is no gap, or nothing closes a part of it.
+    equal
+        Groups of sets of effects that are one model under several names.
     """
 
     verdict: Verdict
@@ -415,13 +488,15 @@ class Diagnosis:
     outliers: tuple[LeftOut, ...] = ()
     law_found: LawFound | None = None
     machines: BetweenMachines | None = None
+    best: Best | None = None
+    equal: tuple[tuple[tuple[str, ...], ...], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `diagnosis.schema.json` describes."""
         verdict = self.verdict
         return {
             "format": "fmuid-diagnosis",
-            "version": 2,
+            "version": 3,
             "verdict": {
                 "kind": verdict.kind,
                 "effects": list(verdict.effects),
@@ -430,7 +505,11 @@ class Diagnosis:
                 "ports": list(verdict.ports),
                 "stable": verdict.stable,
                 "rest": None if verdict.rest is None else asdict(verdict.rest),
+                "provisional": verdict.provisional,
             },
+            "best": None if self.best is None else self.best.to_dict(),
+            "refinements": [] if self.best is None else [r.to_dict() for r in self.best.refinements],
+            "equal": [[list(names) for names in group] for group in self.equal],
             "gap": {
                 "present": self.gap.present,
                 "p_value": self.gap.p_value,
@@ -493,3 +572,15 @@ def _experiment(experiment: NextExperiment) -> dict[str, Any]:
         "separation_sigma": experiment.separation_sigma,
         "between": list(experiment.between),
     }
+
+
+def as_version_2(answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the JSON object of a diagnosis to version 2, for programs that read no later one.
+
+    A provisional verdict becomes *insufficient*, as version 2 called it.
+    """
+    found = {k: v for k, v in answer.items() if k not in ("best", "refinements", "equal")} | {"version": 2}
+    verdict = {k: v for k, v in answer["verdict"].items() if k != "provisional"}
+    if answer["verdict"]["provisional"]:
+        verdict |= {"kind": "insufficient", "effects": [], "one_of": [], "port": None, "ports": [], "rest": None}
+    return found | {"verdict": verdict}

@@ -88,6 +88,8 @@ class Effect:
         Description of the effect, and its physical source.
     port
         Place where it acts on the model.
+    law
+        Name of its law, which may also act at other ports; ``value`` for a held parameter that may be off.
     unknowns
         Its parameters, both sizes and shapes; all are free in a refit.
     neutral
@@ -127,6 +129,7 @@ class Effect:
     unknowns: tuple[Unknown, ...]
     neutral: Mapping[str, float]
     trials: tuple[Mapping[str, float], ...]
+    law: str = ""
     source: str = ""
     two_sided: bool = False
     units: Mapping[str, str] = field(default_factory=dict)
@@ -150,7 +153,7 @@ class Effect:
     @property
     def preference(self) -> tuple[bool, int, bool]:
         """Key by which indistinguishable effects are sorted: first the usual, the simple, a deviating value."""
-        return not self.usual, len(self.unknowns), not self.id.startswith("value@")
+        return not self.usual, len(self.unknowns), self.law != "value"
 
     @property
     def terms(self) -> list[Term]:

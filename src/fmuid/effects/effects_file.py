@@ -162,6 +162,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         unknowns=tuple(unknowns),
         neutral=neutral,
         trials=tuple(dict(t) for t in raw.trials),
+        law=name.partition("@")[0],
         source=raw.source,
         two_sided=raw.two_sided,
         units={key: p.unit for key, p in raw.parameters.items()},

@@ -53,7 +53,7 @@ def pictures_of(found: Found) -> DiagnosisPictures:
     if isinstance(nominal, SimulationError):
         raise nominal
     laws = {
-        " + ".join(model.names): outcome
+        " + ".join(model.effects): outcome
         for model, outcome in zip(models, with_effects, strict=True)
         if not isinstance(outcome, SimulationError)
     }
@@ -117,7 +117,7 @@ def _excess(found: Found) -> ExcessEnergy | None:
 def _coefficients(found: Found) -> tuple[MissingQuantity, ...]:
     """Return the coefficients that vary in the best answer, over what they depend on."""
     best = found.surviving[0] if found.surviving else None
-    effects = [e for e in found.subject.effects if best is not None and e.id in best.names]
+    effects = [e for e in found.subject.effects if best is not None and e.id in best.effects]
     courses = [course_of(found.subject, e, best.fit.values) for e in effects] if best is not None else []
     return tuple(
         MissingQuantity(
@@ -141,7 +141,7 @@ def _curves(found: Found) -> tuple[MissingQuantity, ...]:
     if best is None:
         return ()
     (after,) = found.subject.model.predict([best.fit.values])
-    effects = [e for e in found.subject.effects if e.id in best.names]
+    effects = [e for e in found.subject.effects if e.id in best.effects]
     laws = [_law(e, best.fit.values, catalogue.regimes) for e in effects]
     if isinstance(after, SimulationError):
         return ()

@@ -1,0 +1,120 @@
+"""What is reported, fitted, written, simulated and validated is one model."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.core.campaign import Campaign
+from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.data.measurements import write_measurements
+from fmuid.diagnosis.candidates import Fitted, fit_effects
+from fmuid.diagnosis.corrected import difference, write_corrected
+from fmuid.diagnosis.made_catalogue import with_catalogue
+from fmuid.diagnosis.subject import Subject, subject_of, tightened
+from fmuid.simulation.coupled.loading import load_simulator
+from fmuid.simulation.runners import in_process
+
+RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
+TIME = np.linspace(0.0, 2.0, 101)
+INPUTS = {
+    "TwoMass": ("tau", "N.m", {"w_motor": "rad/s", "w_load": "rad/s"}, 0.3, 1.0, "rotor.J", 2e-3),
+    "Circuit": ("v", "V", {"v_c": "V"}, 5.0, 0.01, "resistor.R", 10.0),
+    "Block": ("P", "W", {"T": "K"}, 300.0, 1000.0, "wall.G", 2.0),
+    "Tanks": ("q", "m3/s", {"level": "m"}, 1e-3, 100.0, "pipe.k", 2e-3),
+}
+CAMPAIGN = """
+[campaign]
+name = "rig"
+[models.rig]
+source = "{source}"
+class = "Rigs.{rig}"
+[parameters."{name}"]
+start = {value}
+lower = {low}
+upper = {high}
+"""
+KINDS = ("kinematic_error", "backlash", "presliding", "coulomb", "gain", "value", "hysteresis")
+"""Laws whose ways to act differ: with a reaction, a flow, states, without any, at a signal, at a parameter."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rig without any effect, recorded once in each of two experiments."""
+
+    campaign: Campaign
+
+    @cached_property
+    def subject(self) -> Subject:
+        return subject_of(self.campaign, load_simulator)
+
+    @cached_property
+    def nominal(self) -> Fitted:
+        found = fit_effects(self.subject, (), [{}], iterations=0)
+        assert found is not None
+        return found
+
+
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory):
+    """Rigs by name, made when they are first asked for."""
+    known: dict[str, Rig] = {}
+
+    def made(name: str) -> Rig:
+        if name not in known:
+            folder = tmp_path_factory.mktemp(name)
+            signal, of_input, outputs, size, scale, parameter, value = INPUTS[name]
+            text = CAMPAIGN.format(
+                source=RIGS, rig=name, name=parameter, value=value, low=0.5 * value, high=2.0 * value
+            )
+            (folder / "campaign.toml").write_text(text)
+            rng, runs = np.random.default_rng(0), {}
+            for k, steps in enumerate((3.0, 7.0)):
+                u = size * (1.0 + k) * np.sign(np.sin(steps * TIME))
+                signals = [Signal(signal, u, of_input, "input")]
+                signals += [
+                    Signal(n, 1e-3 * rng.standard_normal(TIME.size), unit, "output") for n, unit in outputs.items()
+                ]
+                runs[f"e{k}"] = Experiment(f"e{k}", "rig", scale * TIME, {s.name: s for s in signals})
+            write_measurements(Measurements(runs), folder / "measurements.h5")
+            known[name] = Rig(with_catalogue(load_campaign(folder), load_simulator))
+        return known[name]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield made
+
+
+def written_differs(rig: Rig, id: str, folder: Path) -> tuple[float, float]:
+    """Return how much the corrected model differs from the fitted one, and how much the effect does."""
+    effect = rig.subject.by_id[id]
+    values = {**rig.nominal.fit.values, **effect.neutral, **effect.trials[-1]}
+    subject = tightened(rig.subject, [values])
+    fitted = replace(rig.nominal, effects=(id,), fit=replace(rig.nominal.fit, values=values))
+    written = write_corrected(rig.campaign, subject, [id], values, folder=folder, runner=in_process)
+    assert written is not None
+    plain, with_it = subject.model.predict([rig.nominal.fit.values, values])
+    moved = max(float(np.abs(a - b).max()) for a, b in zip(plain, with_it, strict=True))
+    return difference(written, subject, fitted, runner=in_process), moved
+
+
+@pytest.mark.parametrize("rig", INPUTS)
+@pytest.mark.parametrize("law", KINDS)
+def test_the_corrected_model_is_the_fitted_one(rigs, rig, law, tmp_path):
+    effects = [e.id for e in rigs(rig).subject.effects if e.law == law]
+    if not effects:
+        pytest.skip("the law is of another domain")
+    differs, moved = written_differs(rigs(rig), effects[0], tmp_path / "corrected")
+    assert moved > 0.0
+    assert differs < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", INPUTS)
+def test_every_law_is_written_as_it_was_fitted(rigs, rig, tmp_path):
+    kinds = {(e.law, e.acts, bool(e.flow), bool(e.states)): e.id for e in rigs(rig).subject.effects}
+    apart = {id: written_differs(rigs(rig), id, tmp_path / "corrected")[0] for id in kinds.values()}
+    assert {id: differs for id, differs in apart.items() if differs >= 0.05} == {}
