@@ -608,9 +608,11 @@ def _left(equation: Equation) -> Any:
 
 def _in_connector(owner: Instance | None) -> bool:
     """Whether a component is a connector or a record in one."""
-    while owner is not None and owner.is_kind("record", "operator record"):
+    while owner is not None and not owner.is_kind("connector"):
+        if not owner.is_kind("record", "operator record"):
+            return False
         owner = owner.owner.root if owner.owner is not None else None
-    return owner is not None and owner.is_kind("connector")
+    return owner is not None
 
 
 def _level(mod: Mod | None) -> int | None:

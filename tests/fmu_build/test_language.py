@@ -311,3 +311,16 @@ def test_terminal_is_reported(tmp_path):
     )
     (warning,) = compile_modelica(tmp_path / "M.mo", "M").warnings
     assert warning == "M.mo:1: terminal() is never true, because an FMU does not know where its simulation ends"
+
+
+def test_a_connector_that_extends_a_record_has_no_flow_where_nothing_is_connected(tmp_path):
+    text = """model M
+      record R Real v; end R;
+      connector C extends R; flow Real i; end C;
+      C c;
+      output Real y = c.i;
+      equation c.v = 2*time;
+    end M;"""
+    file = tmp_path / "M.mo"
+    file.write_text(text)
+    assert find(compile_modelica(file, "M"), "y")
