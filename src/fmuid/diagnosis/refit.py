@@ -301,15 +301,15 @@ class _Campaign:
 
     def promised(self, x: FloatArray) -> float:
         """Return the fall of the cost that the slopes of a plausible step promise, within bounds."""
-        slopes = np.vstack([self.stacked(self.jacobian(x, "near")), self.prior]) * self.steps
+        try:
+            slopes = np.vstack([self.stacked(self.jacobian(x, "near")), self.prior]) * self.steps
+        except SimulationError:  # slopes beyond all numbers promise nothing
+            return 0.0
         room = np.stack([self.lower - x, self.upper - x]) / self.steps
         free = room[0] < room[1]
         r = self.vector(x)
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # the model may grow without limit
-                found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
-        except np.linalg.LinAlgError:  # slopes without a limit promise nothing
-            return 0.0
+        with np.errstate(over="ignore", invalid="ignore"):  # the model may grow without limit
+            found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
         return float(r @ r) - 2.0 * float(found.cost)
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
@@ -333,6 +333,8 @@ class _Campaign:
             ends, begins = self._beside(x, away), [(x, base)] * len(left)
         for k, (end, p), (begin, q) in zip(left, ends, begins, strict=True):
             columns[k] = tuple((a - b) / (end[k] - begin[k]) for a, b in zip(p, q, strict=True))
+        if any(isinstance(_with_squares(parts), SimulationError) for parts in columns.values()):
+            raise SimulationError("predictions change beyond all numbers with a parameter")
         return tuple(
             np.stack([columns[k][e] for k in range(len(x))], axis=1) if len(x) else np.zeros((b.size, 0))
             for e, b in enumerate(base)
