@@ -17,6 +17,7 @@ from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
 from fmuid.campaigns.known_values import CERTAIN, ModelText, guessed_bounds, is_temperature
 from fmuid.campaigns.not_looked_for import NotLookedFor, not_looked_for
+from fmuid.campaigns.seen_run import seen_run
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements, Signal
@@ -136,6 +137,7 @@ def new_campaign(
         guesses.append(
             f"model exchange: the solver inside {fmu.name} is off by {100 * error:.2g} % of an output's range"
         )
+    seen_run(model, used[0], mapping, runner)  # a model that crashes does so under supervision
     away = runs_away(model, used, mapping)
     choice = first_choice(model, used, mapping, progress, runner, text=ModelText(source), away=away is not None)
     if not choice.free:

@@ -217,7 +217,7 @@ class History:
         rows = self.stages[stage].rows
         rows.append(row)
         if stage in self._known:
-            self._known[stage][row.search.tobytes()] = len(rows) - 1
+            rows.prefer(self._known[stage], row.search.tobytes(), len(rows) - 1)
         self._append("row", {"stage": stage, **_packed(row)})
 
     @property

@@ -165,8 +165,16 @@ class Rows(Sequence[Row]):
 
     @property
     def numbers(self) -> dict[bytes, int]:
-        """Complete search point, as bytes -> the number of its last row."""
-        return {self._point(k, x).tobytes(): k for k, x in enumerate(self.search)}
+        """Complete search point, as bytes -> the number of its last row, if possible one with predictions."""
+        found: dict[bytes, int] = {}
+        for k, x in enumerate(self.search):
+            self.prefer(found, self._point(k, x).tobytes(), k)
+        return found
+
+    def prefer(self, numbers: dict[bytes, int], point: bytes, number: int) -> None:
+        """Enter the number of a point's row, unless that of one with more of its evaluation is known."""
+        if number in self._predictions or numbers.get(point) not in self._predictions:
+            numbers[point] = number
 
     @property
     def criteria(self) -> FloatArray:
