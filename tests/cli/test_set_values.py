@@ -47,7 +47,8 @@ def test_enumerations_and_booleans_are_set_by_name_or_number(simulate, tmp_path,
         ("mode=7", "'mode' cannot be 7; choose one of a (1), b (2)"),
         ("mode=c", "'mode' cannot be c; choose one of a (1), b (2)"),
         ("flip=2", "'flip' cannot be 2; choose true or false"),
-        ("m=heavy", "'heavy' of 'm' is not a number"),
+        ("m=heavy", "'heavy' of 'm' is not a number; write a number"),
+        ("m=nan", "'m' is nan; write a finite number"),
     ],
 )
 def test_other_values_are_refused(simulate, capfd, text, message):
