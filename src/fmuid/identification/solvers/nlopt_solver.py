@@ -238,7 +238,7 @@ def minimised(
     opt.set_initial_step(step)
     opt.set_xtol_abs(1e-4)
     opt.set_maxeval(evaluations)
-    with suppress(nlopt.exception):  # RoundoffLimited and ForcedStop among them
+    with suppress(nlopt.exception, nlopt.ForcedStop, nlopt.RoundoffLimited):
         opt.optimize(np.clip(start, 0.0, 1.0))
     if raised:
         raise raised[0]
