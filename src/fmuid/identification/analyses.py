@@ -24,6 +24,7 @@ from fmuid.identification.uncertainty.inherited import Held
 from fmuid.identification.uncertainty.posterior import Posterior, posterior_of
 from fmuid.identification.uncertainty.profiles import Profile, profile_of
 from fmuid.identification.uncertainty.propagation import CriterionSpread, criteria_spread
+from fmuid.simulation.runners import in_process
 
 _EVALUATIONS = 40  # evaluations per parameter for one point of a front
 
@@ -57,10 +58,11 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
     def evaluated(problem: Problem, points: Sequence[FloatArray]) -> list[Evaluation]:
         found = {k: old for k, x in enumerate(points) if (old := search.recall(x, True)) is not None}
         missing = [k for k in range(len(points)) if k not in found]
-        if missing:
-            found |= zip(missing, problem.evaluate_many([points[k] for k in missing]), strict=True)
-        for k in missing:
-            record(found[k], "uncertainty", True)
+        # In this process, nothing is gained by waiting for all: an interrupted run then keeps every one.
+        for block in [[k] for k in missing] if problem.runner is in_process else [missing]:
+            found |= zip(block, problem.evaluate_many([points[k] for k in block]) if block else (), strict=True)
+            for k in block:
+                record(found[k], "uncertainty", True)
         return [found[k] for k in range(len(points))]
 
     evaluate = partial(evaluated, problem)
