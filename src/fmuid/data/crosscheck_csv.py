@@ -311,7 +311,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _delimiter(text: str, layout: TableLayout, path: Path) -> str:
-    """Return the delimiter of cells: for a named time the one that isolates it, else that of the first lines."""
+    """Return the delimiter that isolates the named time column, or else that of the first lines."""
     lines = [line for line in text.split("\n", 200) if line.strip()][:2]
     if not lines:
         raise MeasurementsError("is empty", where=path, fix=_FIRST_LINE)

@@ -146,7 +146,6 @@ class _Searched:
 
     nominal: Fitted
     paths: Mapping[str, tuple[FloatArray, ...]]
-    prediction: Prediction
     energy: ExcessMap
     scores: tuple[Score, ...]
     noise: NoiseDraws
@@ -345,7 +344,7 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Sea
     noise = draw_noise(subject.observed, prediction, seed=seed)
     evidence = _evidence(subject, nominal, scores, noise)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
-    return _Searched(nominal, paths, prediction, energy, scores, noise, evidence, candidates, best)
+    return _Searched(nominal, paths, energy, scores, noise, evidence, candidates, best)
 
 
 def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:

@@ -21,7 +21,7 @@ class ParameterTable:
     Parameters
     ----------
     label
-        Of the table, for screen readers.
+        Label of the table, for screen readers.
     rows
         The parameters.
     workspace
