@@ -159,9 +159,10 @@ def test_a_format_that_is_none_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-def test_an_integer_overflow_ends_the_simulation(simulate, kind):
+def test_an_integer_overflow_ends_the_simulation(simulate, kind, capfd):
     text = "Integer n(start = 1, fixed = true); Real y = n; equation when sample(0.1, 0.1) then n = 10*pre(n); end when;"
-    messages: list[str] = []
     with pytest.raises(Exception, match="fmi2"):
-        simulate(text, ["y"], fmi_type=kind, logger=lambda *m: messages.append(m[-1].decode()))
-    assert messages[0] == "t = 1: integer overflow: n would be 1e+10"
+        simulate(text, ["y"], fmi_type=kind)
+    # By FMPy's own logger, as above.
+    first = capfd.readouterr().out.splitlines()[0]
+    assert first.endswith("t = 1: integer overflow: n would be 1e+10")
