@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
+from fmpy.util import write_csv
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
@@ -23,6 +24,8 @@ from fmuid.core.errors import MeasurementsError
 from fmuid.data import isolated_reader as apart
 from fmuid.data.crosscheck_csv import read_csv
 from fmuid.data.recordings import Recording, read_recording
+from fmuid.data.recordings.conversion import read_run
+from fmuid.data.table_layout import TableLayout
 
 FAST, SLOW = np.arange(0.0, 1.0, 0.001), np.arange(0.0, 1.0, 0.01)
 
@@ -120,6 +123,78 @@ def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
     found = read_recording(tmp_path / "run.mat")
     assert found.columns == ("x",)
     np.testing.assert_array_equal(found.tables[0].columns["x"], SLOW**2)
+
+
+def result_file(path: Path, storage: str, dtype: str = "f8") -> Path:
+    """A result file as Modelica tools write it: constants, trajectories with an event, an alias of opposite sign."""
+    time = np.array([0.0, 0.1, 0.1, 0.2, 0.3])
+    names = ["time", "load.w", "load.J", "flange.w", "closed"]
+    descriptions = ["Time in [s]", "Speed [rad/s|rpm]", "Inertia [kg.m2]", "Speed of the flange, μ [rad/s]", "[:#(type=Boolean)]"]  # fmt: skip
+    info = [[0, 1, 0, -1], [2, 2, 0, -1], [1, 2, 0, 0], [2, -2, 0, -1], [2, 3, 0, -1]]
+    constants = np.array([[0.0, 2e-3], [0.3, 2e-3]])
+    data = np.column_stack([time, [0.0, 1.5, -1.5, 2.0, 2.5], [0, 0, 1, 1, 1]])
+
+    def characters(texts: list[str]) -> np.ndarray:
+        coded = [text.encode() for text in texts]
+        padded = [text.ljust(max(map(len, coded)), b" ") for text in coded]
+        return np.array([[chr(byte) for byte in row] for row in padded])
+
+    def rows(matrix: np.ndarray) -> np.ndarray:
+        return np.array(["".join(row) for row in matrix]) if matrix.dtype.kind == "U" else matrix
+
+    matrices = {
+        "name": characters(names),
+        "description": characters(descriptions),
+        "dataInfo": np.array(info, dtype="i4"),
+        "data_1": constants.astype(dtype),
+        "data_2": data.astype(dtype),
+    }
+    turned = {n: rows(m.T if storage == "binTrans" else m) for n, m in matrices.items()}
+    savemat(path, {"Aclass": rows(characters(["Atrajectory", "1.1", "", storage])), **turned}, format="4")
+    return path
+
+
+@pytest.mark.parametrize(("storage", "dtype"), [("binTrans", "f8"), ("binTrans", "f4"), ("binNormal", "f8")])
+def test_result_files_of_modelica_tools(storage: str, dtype: str, tmp_path: Path) -> None:
+    found = read_recording(result_file(tmp_path / "run.mat", storage, dtype))
+    (table,) = found.tables
+    np.testing.assert_allclose(table.time, [0.0, 0.1, 0.1, 0.2, 0.3], rtol=1e-6)
+    assert {n: v.tolist() for n, v in table.columns.items()} == {
+        "load.w": [0.0, 1.5, -1.5, 2.0, 2.5],
+        "flange.w": [0.0, -1.5, 1.5, -2.0, -2.5],
+        "closed": [0.0, 0.0, 1.0, 1.0, 1.0],
+    }
+    assert table.units == {"load.w": "rad/s", "flange.w": "rad/s"}
+    assert found.notes == ("not used (constant in this run): load.J",)
+    chosen = TableLayout(("time=time", "J [g.m2]=load.J", "w=load.w"))
+    (table,) = read_recording(tmp_path / "run.mat", layout=chosen).tables
+    assert table.columns["J"] == pytest.approx(np.full(5, 2e-3))
+    assert table.units == {"J": "g.m2", "w": "rad/s"}
+
+
+def test_an_event_in_a_result_file_is_a_step(tmp_path: Path) -> None:
+    run = read_run(result_file(tmp_path / "run.mat", "binTrans"))
+    np.testing.assert_allclose(run.table.time, [0.0, 0.1, 0.1001, 0.2, 0.3])
+    assert run.table.columns["load.w"].tolist() == [0.0, 1.5, -1.5, 2.0, 2.5]
+    assert "1 time with two rows: the second row is a step right after the first" in run.notes
+
+
+def test_the_csv_of_fmpy_with_an_event_is_a_run(tmp_path: Path) -> None:
+    rows = np.array(
+        [(0.0, 1.0), (0.5, -0.2), (0.5, 0.1), (1.0, 0.4), (1.5, 0.3)], dtype=[("time", "f8"), ("h", "f8")]
+    )
+    write_csv(str(tmp_path / "run.csv"), rows)
+    run = read_run(tmp_path / "run.csv")
+    np.testing.assert_allclose(run.table.time, [0.0, 0.5, 0.5005, 1.0, 1.5])
+    assert run.table.columns["h"].tolist() == [1.0, -0.2, 0.1, 0.4, 0.3]
+
+
+def test_a_damaged_result_file_is_one_line(tmp_path: Path) -> None:
+    savemat(
+        tmp_path / "run.mat", {"Aclass": ["a", "1.1", "", "binTrans"], "name": ["a"], "dataInfo": [[3, 1, 0, 0]]}
+    )
+    with pytest.raises(MeasurementsError, match="is a damaged result file of a Modelica tool; write it again"):
+        read_recording(tmp_path / "run.mat")
 
 
 @pytest.mark.parametrize(
@@ -222,9 +297,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     mf4(folder / "a.mf4")
     parquet.write_table(pa.table({"time [s]": SLOW, "x [m]": SLOW}), folder / "a.parquet")
     savemat(folder / "a.mat", {"t": SLOW, "x": SLOW})
+    result_file(folder / "b.mat", "binTrans")
     hdf5_in(folder / "a.h5", "s")
     (folder / "a.csv").write_text("time [ms];x\n0;1,5\n1;2,5\n")
-    return {p.suffix: p.read_bytes() for p in folder.iterdir()}
+    return {p.suffix if p.stem == "a" else p.name: p.read_bytes() for p in folder.iterdir()}
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +313,7 @@ def impatient() -> Iterator[None]:
 
 @settings(derandomize=True, max_examples=60, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
 @given(
-    suffix=st.sampled_from([".csv", ".csv", ".mat", ".h5", ".parquet", ".mf4"]),
+    suffix=st.sampled_from([".csv", ".csv", ".mat", "b.mat", ".h5", ".parquet", ".mf4"]),
     damage=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=1, max_size=8)), max_size=6),
     keep=st.one_of(st.just(1.0), st.floats(0, 1)),
 )  # fmt: skip
@@ -253,7 +329,7 @@ def test_damaged_recordings_give_no_traceback(
     for place, new in damage:
         at = int(place * len(content))
         content[at : at + len(new)] = new
-    broken = tmp_path / f"broken{suffix}"
+    broken = tmp_path / f"broken.{suffix.rpartition('.')[2]}"
     broken.write_bytes(content[: int(keep * len(content))])
     try:
         found = read_recording(broken)

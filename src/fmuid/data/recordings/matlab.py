@@ -1,4 +1,4 @@
-"""MATLAB files: vectors, and columns of matrices, as long as the time. These files state no units."""
+"""MATLAB files: vectors, and columns of matrices, as long as the time. Only result files of tools state units."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.core.errors import MeasurementsError
+from fmuid.data.recordings import trajectory
 from fmuid.data.recordings.recording import Column, Recording, from_columns, is_numeric, left_out
 from fmuid.data.table_layout import TableLayout
 
@@ -15,13 +16,16 @@ from fmuid.data.table_layout import TableLayout
 def read(path: Path, layout: TableLayout) -> Recording:
     """Read a ``.mat`` file of any version; see `fmuid.data.recordings.read_recording`.
 
-    The columns of a matrix ``data`` are ``data[1]``, ``data[2]`` and so on.
+    The columns of a matrix ``data`` are ``data[1]``, ``data[2]`` and so on. In result files of Modelica tools,
+    variables have their own names.
     """
     variables = _variables(path)
     if variables is None:  # version 7.3 is HDF5
         from fmuid.data.recordings import hdf5_vectors
 
         return hdf5_vectors.read(path, layout)
+    if trajectory.is_trajectory(variables):
+        return trajectory.read(variables, layout, path)
     columns: dict[str, Column] = {}
     others = []
     for name, found in variables.items():
@@ -36,10 +40,11 @@ def read(path: Path, layout: TableLayout) -> Recording:
 
 
 def _variables(path: Path) -> dict[str, Any] | None:
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
-        found = loadmat(path, squeeze_me=True)
+        of_tool = trajectory.is_trajectory({name for name, _, _ in whosmat(path)})
+        found = loadmat(path, squeeze_me=not of_tool, chars_as_strings=not of_tool)
     except NotImplementedError:
         return None
     except Exception:  # the parser may raise anything on damaged files
