@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmu_build.errors import UserError
+from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Measurements
 from fmuid.core.formatting import counted
 from fmuid.data.measurements import write_measurements
@@ -40,7 +41,7 @@ def ended(work: Callable[[], Sequence[str]], *, resumes: bool = False) -> int:
     """
     try:
         failures = work()
-    except UserError as error:
+    except (FmuidError, UserError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -22,18 +22,12 @@ class UserError(Exception):
         self.what = what
         self.where = None if where is None else str(where)
         self.fix = fix
-        line = what if self.where is None else f"{self.where}: {what}"
-        if fix is not None:
-            line = f"{line}; {fix}"
-        super().__init__(" ".join(line.split()))
+        place = "" if self.where is None else f"{self.where}: "
+        super().__init__(" ".join(f"{place}{what}{'' if fix is None else f'; {fix}'}".split()))
 
     def __reduce__(self) -> tuple[object, ...]:
         # Errors are sent between processes; keyword arguments need this to be pickled.
-        return (_rebuild, (type(self), self.what, self.where, self.fix))
-
-
-def _rebuild(kind: type[UserError], what: str, where: str | None, fix: str | None) -> UserError:
-    return kind(what, where=where, fix=fix)
+        return (partial(type(self), where=self.where, fix=self.fix), (self.what,))
 
 
 class ModelicaError(UserError):

@@ -23,6 +23,7 @@ import cases
 from fmu_build import load
 from fmu_build.errors import UserError
 from fmuid.campaigns import campaign_toml
+from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import read_csv
 from fmuid.effects.effects_file import load_catalogue
@@ -148,7 +149,7 @@ def refused_or_read(read: Callable[[], object]) -> None:
     """Check that an input is read, or refused in one line."""
     try:
         read()
-    except UserError as error:
+    except (FmuidError, UserError) as error:
         line = str(error)
     else:
         line = "read"

@@ -27,6 +27,7 @@ from fmuid.cli import (
 )
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
+from fmuid.core.errors import FmuidError
 
 DONE, NO, BAD_INPUT = 0, 1, 2
 
@@ -75,7 +76,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         code = app(arguments, standalone_mode=False)
         sys.stdout.flush()  # reports a full disk here, not when Python ends
-    except UserError as error:
+    except (FmuidError, UserError) as error:
         return _complain(str(error))
     except typer.TyperException as error:  # unknown option, missing argument, value of the wrong type
         return _complain(_plain(error.format_message().rstrip(".")) + "; see fmuid --help")

@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
-from fmu_build.errors import UserError
+from functools import partial
 
 
-class FmuidError(UserError):
-    """Base class of the errors that fmuid raises; `fmu_build` has its own."""
+class FmuidError(Exception):
+    """Base class of the errors that fmuid raises on purpose; prints as one line. `fmu_build` has its own.
+
+    Parameters
+    ----------
+    what
+        What is wrong, in the user's words.
+    where
+        The file, table, experiment or variable concerned.
+    fix
+        What the user can do about it.
+    """
+
+    def __init__(self, what: str, *, where: object = None, fix: str | None = None) -> None:
+        self.what = what
+        self.where = None if where is None else str(where)
+        self.fix = fix
+        place = "" if self.where is None else f"{self.where}: "
+        super().__init__(" ".join(f"{place}{what}{'' if fix is None else f'; {fix}'}".split()))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Errors are sent between processes; keyword arguments need this to be pickled.
+        return (partial(type(self), where=self.where, fix=self.fix), (self.what,))
 
 
 class CampaignError(FmuidError):

@@ -11,7 +11,7 @@ from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports
 from fmuid.core.campaign import ModelSpec
-from fmuid.core.errors import SimulationError
+from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, refitted_early, without
@@ -110,7 +110,7 @@ def find_law(
             if best is not None and not reason:
                 best = search.named(search.pruned(best))
                 return Discovery(search.described(best, seed), best)
-        except UserError as error:  # a model that cannot be built or simulated yields no law
+        except (FmuidError, UserError) as error:  # a model that cannot be built or simulated yields no law
             reason = str(error)
         reasons.append(reason if not base.effects else f"beside {base.id}, {reason}")
     return _none("; ".join(reasons))
