@@ -44,7 +44,7 @@ FAULTS = {
 
 
 def _description(
-    fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: bool, interpolates: bool, clock: bool
+    fmi: int, interfaces: tuple[str, ...], once: bool, even_steps: bool | float, interpolates: bool, clock: bool
 ) -> str:
     index = {"x": 7, "v": 8} if fmi == 2 else {"x": 6, "v": 7}
     lines = []
@@ -70,6 +70,7 @@ def _description(
         lines.append('<Binary name="picture" valueReference="31" causality="output" variability="discrete"/>')
     flags = f'canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"'
     steps = f'canHandleVariableCommunicationStepSize="{str(not even_steps).lower()}"'
+    declared = "" if isinstance(even_steps, bool) else f' stepSize="{even_steps}"'
     if fmi == 2:
         steps += f' canInterpolateInputs="{str(interpolates).lower()}"'
     offered = "".join(
@@ -92,7 +93,7 @@ def _description(
         )
         head = 'fmiVersion="3.0" instantiationToken="oscillator"'
     units = "".join(f'<Unit name="{u}"/>' for u in ("kg", "N", "m"))
-    experiment = '<DefaultExperiment startTime="0" stopTime="1" tolerance="1e-7"/>'
+    experiment = f'<DefaultExperiment startTime="0" stopTime="1" tolerance="1e-7"{declared}/>'
     return (
         f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription modelName="Oscillator" {head}>{offered}'
         f"<UnitDefinitions>{units}</UnitDefinitions>{types}{experiment}<ModelVariables>{variables}</ModelVariables>"
@@ -106,15 +107,15 @@ def make_oscillator(
     interfaces: tuple[str, ...] = ("CoSimulation",),
     defines: tuple[str, ...] = (),
     *,
-    even_steps: bool = False,
+    even_steps: bool | float = False,
     interpolates: bool = False,
     clock: bool = False,
 ) -> Path:
-    """Compile and pack the test FMU; `defines` are the macros of oscillator.c."""
+    """Compile and pack the test FMU; `defines` are the macros of oscillator.c, a number for `even_steps` is declared."""
     name = "-".join(["oscillator", str(fmi), *(i[:2] for i in interfaces), *defines]).replace("=", "")
     path = (
         folder
-        / f"{name}{'-even' if even_steps else ''}{'-interpolates' if interpolates else ''}{'-clock' if clock else ''}.fmu"
+        / f"{name}{f'-even{even_steps}' if even_steps else ''}{'-interpolates' if interpolates else ''}{'-clock' if clock else ''}.fmu"
     )
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler, "the tests need a C compiler"

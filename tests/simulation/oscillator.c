@@ -218,6 +218,9 @@ static Status advance(Model *s, double t, double h)
     s->t = t;
     Status status = misbehave(s);
     if (status > 1) return status;
+#ifdef STEP
+    if (fabs(h - STEP) > 1e-12) return say(s, ERROR, "another step size");
+#endif
     step(s, h);
     return OK;
 }

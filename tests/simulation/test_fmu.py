@@ -206,6 +206,31 @@ def test_uneven_steps_are_refused_where_the_fmu_cannot(build):
     Fmu(build(2, even_steps=True)).simulate(task(), {})
 
 
+@BOTH
+def test_a_declared_fixed_step_is_taken_several_times_between_samples(build, fmi):
+    fmu = Fmu(build(fmi, defines=("STEP=0.001",), even_steps=0.001))
+    every = fmu.simulate(task(), {})
+    rare = np.array([0, 5, 10, 30, 500])  # uneven, as the data may be
+    held = np.repeat(U[rare[:-1]], np.diff(rare))
+    times = TIME[rare] + [0, 1e-7, -1e-7, 0, 0]  # rounded
+    y = fmu.simulate(task(time=times, inputs={"u": U[rare]}), {})
+    assert np.array_equal(y, fmu.simulate(task(inputs={"u": np.append(held, 0)}), {})[:, rare])
+    np.testing.assert_allclose(every, oscillator(U), rtol=1e-12, atol=1e-15)
+    for wrong in (TIME * 1.5, TIME / 2):
+        with pytest.raises(
+            FmuError, match=r"declares a fixed communication step size of 0\.001 s.*multiples of 0\.001"
+        ):
+            fmu.simulate(task(time=wrong), {})
+
+
+def test_inputs_are_interpolated_over_the_fixed_steps_between_samples(build):
+    rare, smooth = np.arange(0, 501, 10), np.sin(20 * TIME)
+    fmu = Fmu(build(2, defines=("STEP=0.001",), even_steps=0.001, interpolates=True))
+    y = fmu.simulate(task(time=TIME[rare], inputs={"u": smooth[rare]}, interpolation="linear"), {})
+    between = np.interp(TIME, TIME[rare], smooth[rare])
+    np.testing.assert_allclose(y, oscillator(between, slope=True)[:, rare], rtol=1e-10, atol=1e-13)
+
+
 def test_one_object_a_process_and_none_after_a_change(build, tmp_path):
     path = tmp_path / "copy.fmu"
     shutil.copy(build(2), path)

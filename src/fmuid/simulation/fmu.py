@@ -29,7 +29,7 @@ from fmuid.simulation import resets, stepper
 from fmuid.simulation.branches import Branches
 from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription, library_name, read_description
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
-from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask, PreparedTasks
+from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask, PreparedTasks, check_steps
 from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
 from fmuid.simulation.simulator import Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
@@ -136,7 +136,11 @@ class Fmu:
     @property
     def even_steps(self) -> bool:
         """Whether the FMU takes communication steps of one size only."""
-        return self.interface == "co-simulation" and not self._described.any_step
+        return not self._described.any_step
+
+    def check_steps(self, steps: FloatArray, where: object) -> None:
+        """Raise FmuError unless the FMU can take these communication steps (s); see `fmu_plan.check_steps`."""
+        check_steps(steps, self._described, where)
 
     @property
     def interpolates_inputs(self) -> bool:
@@ -313,7 +317,7 @@ class Fmu:
                 library=library,
                 described=self._description,
                 linear_inputs=self.interpolates_inputs,
-                even_steps=self.even_steps,
+                interface=self._described,
             )
             new = [n for n in (*names, *task.start_values) if n not in self._set_before]
             if new:  # tasks prepared earlier must restore these from now on

@@ -60,7 +60,8 @@ class DescribedInterface:
     """Co-simulation or model exchange as offered by an FMU; `identifier` is the name of its library.
 
     `needs_tool` says that the tool that exported it must be installed, and `once` that a process can only
-    instantiate it once.
+    instantiate it once. If it cannot take steps of `any_step` size, `fixed_step` is the size that
+    it declares (s), if any.
     """
 
     identifier: str
@@ -70,6 +71,7 @@ class DescribedInterface:
     needs_completed_step: bool
     needs_tool: bool = False
     once: bool = False
+    fixed_step: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +145,7 @@ def read_description(path: Path) -> FmuDescription:
         token=root.get("guid" if fmi == 2 else "instantiationToken", ""),
         tool=root.get("generationTool"),
         default_experiment={ours: float(given[theirs]) for ours, theirs in names.items() if theirs in given},
-        co_simulation=_interface(root.find("CoSimulation"), fmi),
+        co_simulation=_interface(root.find("CoSimulation"), fmi, given.get("stepSize")),
         model_exchange=_interface(root.find("ModelExchange"), fmi),
         variables=tuple(variables),
         outputs={
@@ -205,13 +207,15 @@ def _true(element: Element, attribute: str) -> bool:
     return element.get(attribute) in {"true", "1"}
 
 
-def _interface(element: Element | None, fmi: int) -> DescribedInterface | None:
+def _interface(element: Element | None, fmi: int, step: str | None = None) -> DescribedInterface | None:
     if element is None:
         return None
+    any_step = element.tag == "ModelExchange" or _true(element, "canHandleVariableCommunicationStepSize")
+    step = element.get("fixedInternalStepSize", step)
     return DescribedInterface(
         identifier=element.get("modelIdentifier", ""),
         saves_state=_true(element, "canGetAndSetFMUstate" if fmi == 2 else "canGetAndSetFMUState"),
-        any_step=_true(element, "canHandleVariableCommunicationStepSize"),
+        any_step=any_step,
         interpolates_inputs=_true(element, "canInterpolateInputs"),
         needs_completed_step=(
             not _true(element, "completedIntegratorStepNotNeeded")
@@ -220,6 +224,7 @@ def _interface(element: Element | None, fmi: int) -> DescribedInterface | None:
         ),
         needs_tool=_true(element, "needsExecutionTool"),
         once=_true(element, "canBeInstantiatedOnlyOncePerProcess"),
+        fixed_step=None if any_step or step is None or not float(step) > 0 else float(step),
     )
 
 

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
-from fmuid.simulation.fmu_description import FmuDescription
+from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription
 from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.fmu_variables import Slot
 from fmuid.simulation.simulator import Feedback, Task, Variable
 from fmuid.simulation.stepper import DTYPES, FUNCTIONS, SAMPLES, Group, Plan, require_reading_after
 
+_ROUNDED = 1e-3  # times a fixed step: how far times of samples may be rounded
 UNKNOWN_TOLERANCE = 1e-6  # for FMUs that suggest none
 _MAX_PREPARED = 64 * 2**20  # bytes of prepared tasks kept in memory; the oldest is dropped first
 _MAX_LAYOUTS = 200  # layouts of variables, the same
@@ -50,7 +51,7 @@ class PreparedTask:
         library: FmuLibrary,
         described: FmuDescription,
         linear_inputs: bool,
-        even_steps: bool,
+        interface: DescribedInterface,
     ) -> None:
         self.task, self.names = task, names
         self.library = library
@@ -58,7 +59,8 @@ class PreparedTask:
         self._kept: list[Any] = []  # arrays the plan points into
         n = len(task.time)
         self.size = 8 * n * (2 * len(task.inputs) + 1)  # approximate bytes, including the task's own
-        self._check_time(task.time, even_steps)
+        self._check_time(task.time)
+        check_steps(np.diff(task.time), interface, self._where)
         inputs = self._inputs(variables)
         self.inputs = inputs
         fixed = {k: v for k, v in task.start_values.items() if k not in names}
@@ -89,6 +91,9 @@ class PreparedTask:
             self._integrate(described, inputs.shape[1])
         # Sums of time and step size may round up past the last time; the FMU must not refuse that.
         plan.stop = float(np.max(task.time[:-1] + np.diff(task.time)))
+        if interface.fixed_step is not None:
+            plan.fixed_step = interface.fixed_step
+            plan.stop += _ROUNDED * plan.fixed_step
         plan.n_times, plan.n_inputs, plan.n_outputs = n, inputs.shape[1], len(task.outputs)
         plan.n_starts = len(self.starts)
         plan.time, plan.inputs, plan.starts = map(self._pointer, (task.time, inputs, self.starts))
@@ -130,20 +135,12 @@ class PreparedTask:
         except KeyError:
             raise FmuError(f"no variable '{name}'", where=self._where, fix=suggestion(name, self._slots)) from None
 
-    def _check_time(self, time: FloatArray, even_steps: bool) -> None:
+    def _check_time(self, time: FloatArray) -> None:
         if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all() or np.any(np.diff(time) <= 0):
             raise FmuError(
                 "times must be at least two, finite and strictly increasing",
                 where=self._where,
                 fix="check them",
-            )
-        steps = np.diff(time)
-        if even_steps and np.ptp(steps) > 1e-6 * steps[0]:
-            raise FmuError(
-                f"steps of {steps.min():g} to {steps.max():g} s, but the FMU declares that it cannot handle "
-                "a variable communication step size",
-                where=self._where,
-                fix="record or resample on even times, or export the FMU for variable steps",
             )
 
     def _check_whole(self, name: str, values: FloatArray) -> None:
@@ -339,6 +336,31 @@ class PreparedTask:
         )
         plan.slope_orders = self._pointer(np.ones(len(columns), dtype=np.int32))
         plan.slopes = self._pointer(np.zeros(max(1, len(columns))))
+
+
+def check_steps(steps: FloatArray, interface: DescribedInterface, where: object) -> None:
+    """Raise FmuError unless an FMU can take these communication steps (s).
+
+    An FMU that cannot handle a variable communication step size takes multiples of the step that it declares, as
+    several of its steps; if it declares none, all steps must be equal.
+    """
+    fixed = interface.fixed_step
+    if fixed is not None:
+        off = np.abs(steps - np.maximum(1.0, np.rint(steps / fixed)) * fixed)
+        if np.max(off) > _ROUNDED * fixed:
+            raise FmuError(
+                f"a step of {steps[np.argmax(off)]:g} s, but the FMU declares "
+                f"a fixed communication step size of {fixed:g} s",
+                where=where,
+                fix=f"record or resample at multiples of {fixed:g} s, or export the FMU for variable steps",
+            )
+    elif not interface.any_step and np.ptp(steps) > 1e-6 * steps[0]:
+        raise FmuError(
+            f"steps of {steps.min():g} to {steps.max():g} s, but the FMU declares that it cannot handle "
+            "a variable communication step size",
+            where=where,
+            fix="record or resample on even times, or export the FMU for variable steps",
+        )
 
 
 def _pointer_to(kept: list[Any], array: NDArray[Any]) -> int:

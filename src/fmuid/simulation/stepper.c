@@ -214,19 +214,41 @@ static inline int32_t advance(Plan *plan, int32_t fmi, double t, double h)
     return DONE;
 }
 
+/* Have the FMU interpolate the inputs u of a sample to those of the next, h later. */
+static int32_t move_inputs(Plan *plan, const double *u, double h)
+{
+    if (plan->n_slopes == 0 || plan->fmi != 2) return DONE;
+    for (int32_t i = 0; i < plan->n_slopes; i++) {
+        int32_t j = plan->slope_columns[i];
+        plan->slopes[i] = (u[plan->n_inputs + j] - u[j]) / h;
+    }
+    CALL(SET_INPUT_DERIVATIVES, int32_t (*)(Instance, const uint32_t *, size_t, const int32_t *, const double *),
+         plan->instance, plan->slope_references, (size_t)plan->n_slopes, plan->slope_orders, plan->slopes);
+    return DONE;
+}
+
 int32_t do_step(Plan *plan, size_t k)
 {
-    const double t = plan->time[k], h = plan->time[k + 1] - t, *u = plan->inputs + k * plan->n_inputs;
-    TRY(set_values(plan, plan->input_groups, plan->n_input_groups, u));
-    if (plan->n_slopes > 0 && plan->fmi == 2) {
-        for (int32_t i = 0; i < plan->n_slopes; i++) {
-            int32_t j = plan->slope_columns[i];
-            plan->slopes[i] = (u[plan->n_inputs + j] - u[j]) / h;
-        }
-        CALL(SET_INPUT_DERIVATIVES, int32_t (*)(Instance, const uint32_t *, size_t, const int32_t *, const double *),
-             plan->instance, plan->slope_references, (size_t)plan->n_slopes, plan->slope_orders, plan->slopes);
+    const double begin = plan->time[0], fixed = plan->fixed_step, *u = plan->inputs + k * plan->n_inputs;
+    const double size = plan->time[k + 1] - plan->time[k];
+    if (fixed == 0) {
+        TRY(set_values(plan, plan->input_groups, plan->n_input_groups, u));
+        TRY(move_inputs(plan, u, size));
+        return advance(plan, plan->fmi, plan->time[k], size);
     }
-    return advance(plan, plan->fmi, t, h);
+    /* Counted from the first sample, so that rounded times of samples do not add up. */
+    const int64_t first = llround((plan->time[k] - begin) / fixed), end = llround((plan->time[k + 1] - begin) / fixed);
+    for (int64_t i = first; i < end; i++) {
+        memcpy(plan->row, u, plan->n_inputs * sizeof *u);
+        for (int32_t s = 0; s < plan->n_slopes; s++) {
+            const int32_t j = plan->slope_columns[s];
+            plan->row[j] += (u[plan->n_inputs + j] - u[j]) * ((double)(i - first) / (double)(end - first));
+        }
+        TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->row));
+        TRY(move_inputs(plan, u, size));
+        TRY(advance(plan, plan->fmi, begin + (double)i * fixed, fixed));
+    }
+    return DONE;
 }
 
 static int32_t any_steps(Plan *plan, size_t k, size_t last)
@@ -240,7 +262,7 @@ static int32_t any_steps(Plan *plan, size_t k, size_t last)
 
 static bool all_real(const Plan *plan)
 {
-    return !plan->model_exchange && plan->n_directions == 0 && plan->n_slopes == 0 && !fmuid_reads_after(plan) && plan->n_output_groups == 1 && plan->output_groups->direct
+    return !plan->model_exchange && plan->fixed_step == 0 && plan->n_directions == 0 && plan->n_slopes == 0 && !fmuid_reads_after(plan) && plan->n_output_groups == 1 && plan->output_groups->direct
         && (plan->n_input_groups == 0 || (plan->n_input_groups == 1 && plan->input_groups->direct));
 }
 

@@ -51,6 +51,7 @@ typedef struct {
     int32_t rewinds;        /* a step may be taken again from a state before it */
     double tolerance;
     double stop;
+    double fixed_step;      /* size of every step of co-simulation, 0: from sample to sample */
     size_t n_times, n_inputs, n_outputs, n_starts, n_states, n_indicators;
     const double *time;     /* (n_times) */
     const double *inputs;   /* (n_times, n_inputs) */

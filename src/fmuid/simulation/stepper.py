@@ -113,6 +113,7 @@ class Plan(ctypes.Structure):
         ("rewinds", c_int32),
         ("tolerance", c_double),
         ("stop", c_double),
+        ("fixed_step", c_double),
         ("n_times", c_size_t),
         ("n_inputs", c_size_t),
         ("n_outputs", c_size_t),

@@ -288,15 +288,8 @@ def _steps(wiring: Wiring, task: Task, where: object) -> NDArray[np.int32]:
     count = np.maximum(1.0, np.ceil(size / step * (1 - 1e-9)))
     if count.sum() > MAX_STEPS:
         raise FmuError(f"takes {count.sum():.3g} communication steps", where=where, fix="take a longer step")
-    sizes = size / count
-    uneven = [name for name, fmu in wiring.components.items() if fmu.even_steps]
-    if uneven and np.ptp(sizes) > 1e-6 * sizes[0]:
-        raise FmuError(
-            f"communication steps of {sizes.min():g} to {sizes.max():g} s, but component '{uneven[0]}' declares "
-            "that it cannot handle a variable communication step size",
-            where=where,
-            fix="record or resample on even times, or export the FMU for variable steps",
-        )
+    for name, fmu in wiring.components.items():
+        fmu.check_steps(size / count, f"{where}, component '{name}'")
     return count.astype(np.int32)
 
 
