@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,16 @@ class CampaignFile:
             elif not (keys[-1] in table and table[keys[-1]] == value and not isinstance(value, bool)):
                 _assign(table, keys[-1], value)
         self.replace(tomlkit.dumps(document))
+
+    @contextmanager
+    def one_edit(self) -> Iterator[None]:
+        """Make all edits of the block one, for `undo`."""
+        self.reload()
+        edits = len(self._before)
+        try:
+            yield
+        finally:
+            del self._before[edits + 1 :]
 
     def free(self, name: str, text: str) -> None:
         """Make a parameter free: uncomment its table if the file has it, or add `text`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,7 +21,6 @@ from fmuid.report.plots.figure_data import Figure
 from fmuid.report.thinning import kept_samples
 
 _SIZE = (180, 44)  # of a small curve, px
-_VALUE = "(event) => emit(event.target.value)"
 
 
 def text(tag: str, content: str, classes: str = "", **attributes: str) -> Element:
@@ -50,31 +50,73 @@ def element(tag: str, classes: str = "", **attributes: str | bool) -> Element:
     return made
 
 
-class Field:
-    """A text field; `changed` is called with the text when the user leaves it or presses Enter."""
+class Input:
+    """An element whose value the user and the page change.
 
-    def __init__(self, label: str, value: str, changed: Callable[[str], object], width: str = "7em") -> None:
-        self.element = element("input", type="text", aria_label=label, value=value, spellcheck="false")
-        self.element.style(f"width: {width}")
-        self._value = value
+    The browser gets a value only when it changed: an update of the page never replaces what is being typed.
+
+    Parameters
+    ----------
+    tag
+        ``input``, ``select`` or ``textarea``.
+    label
+        Its name for screen readers.
+    value
+        The first value.
+    changed
+        Called with the value that the user gave.
+    event
+        The event of the browser: ``change`` when the user has finished, ``input`` with each change.
+    throttle
+        Least time between two calls in seconds.
+    **attributes
+        Attributes of the element.
+    """
+
+    def __init__(
+        self,
+        tag: str,
+        label: str,
+        value: str,
+        changed: Callable[[str], object],
+        *,
+        event: str = "change",
+        throttle: float = 0.0,
+        **attributes: str,
+    ) -> None:
+        self.element = element(tag, aria_label=label, **attributes)
+        self.element.props[".value"] = self.value = value
 
         def heard(event: Any) -> None:
-            if str(event.args) != self._value:
-                self._value = str(event.args)
-                changed(self._value)
+            if str(event.args) != self.value:
+                self.value = str(event.args)
+                changed(self.value)
 
-        self.element.on("change", heard, js_handler=_VALUE)
+        self.element.on(event, heard, js_handler="(event) => emit(event.target.value)", throttle=throttle)
 
     def show(self, value: str) -> None:
         """Show a value that changed elsewhere."""
-        self._value = value
-        self.element.props["value"] = value
+        if value == self.value:
+            return
+        self.value = value
+        self.element.props[".value"] = value
         self.element.update()
+        # The update alone would not take back what the user has typed since the last one.
+        self.element.client.run_javascript(f"getHtmlElement({self.element.id}).value = {json.dumps(value)}")
 
     def enable(self, usable: bool) -> None:
-        """Make the field usable or not."""
-        self.element.props["disabled"] = not usable
-        self.element.update()
+        """Make the element usable or not."""
+        if self.element.props.get("disabled", False) == usable:
+            self.element.props["disabled"] = not usable
+            self.element.update()
+
+
+class Field(Input):
+    """A text field; `changed` is called with the text when the user leaves it or presses Enter."""
+
+    def __init__(self, label: str, value: str, changed: Callable[[str], object], width: str = "7em") -> None:
+        super().__init__("input", label, value, changed, type="text", spellcheck="false")
+        self.element.style(f"width: {width}")
 
 
 class Slider:
@@ -100,30 +142,34 @@ class Slider:
             self._number = Field(
                 f"Value of {label}", f"{value:.5g}", lambda typed: self._typed(typed, moved), "7em"
             )
-            self._range = element(
+            self._range = Input(
                 "input",
+                label,
+                str(self._place(value)),
+                lambda place: self._dragged(place, moved),
+                event="input",
+                throttle=0.05,
                 type="range",
                 min="0",
                 max=str(self.STEPS),
-                aria_label=label,
-                value=str(self._place(value)),
                 aria_valuetext=self._words(value),
             )
-
-        def heard(event: Any) -> None:
-            new = self._value(float(event.args))
-            self._number.show(f"{new:.5g}")
-            self._range.props["aria-valuetext"] = self._words(new)
-            moved(new)
-
-        self._range.on("input", heard, js_handler=_VALUE, throttle=0.05)
 
     def show(self, value: float) -> None:
         """Show another value."""
         self._number.show(f"{value:.5g}")
-        self._range.props["value"] = str(self._place(value))
-        self._range.props["aria-valuetext"] = self._words(value)
-        self._range.update()
+        self._say(value)
+        self._range.show(str(self._place(value)))
+
+    def _dragged(self, place: str, moved: Callable[[float], object]) -> None:
+        value = self._value(float(place))
+        self._number.show(f"{value:.5g}")
+        self._say(value)
+        moved(value)
+
+    def _say(self, value: float) -> None:
+        self._range.element.props["aria-valuetext"] = self._words(value)
+        self._range.element.update()
 
     def _typed(self, typed: str, moved: Callable[[float], object]) -> None:
         with told():
@@ -152,28 +198,16 @@ class Slider:
         return float(low * (high / low) ** share if self._log else low + share * (high - low))
 
 
-class Choice:
+class Choice(Input):
     """A list to choose from; `changed` is called with the key of the choice."""
 
     def __init__(
         self, label: str, options: Mapping[str, str], value: str, changed: Callable[[str], object]
     ) -> None:
-        self.element = element("select", aria_label=label, value=value)
+        super().__init__("select", label, value, changed)
         with self.element:
             for key, words in options.items():
                 text("option", words, value=key)
-
-        def heard(event: Any) -> None:
-            self.element.props["value"] = str(event.args)
-            changed(str(event.args))
-
-        self.element.on("change", heard, js_handler=_VALUE)
-
-    def show(self, value: str) -> None:
-        """Show a value that changed elsewhere."""
-        if self.element.props["value"] != value:
-            self.element.props["value"] = value
-            self.element.update()
 
 
 def button(words: str, pressed: Callable[[], object], classes: str = "", **attributes: str | bool) -> Element:
@@ -187,8 +221,9 @@ def button(words: str, pressed: Callable[[], object], classes: str = "", **attri
 
 def enable(made: Element, usable: bool) -> None:
     """Make a button usable or not."""
-    made.props["disabled"] = not usable
-    made.update()
+    if made.props.get("disabled", False) == usable:
+        made.props["disabled"] = not usable
+        made.update()
 
 
 def header(*names: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import replace
 
 from nicegui import run, ui
 
@@ -12,6 +12,7 @@ from fmuid.campaigns.campaign_toml import SIGNAL_TIMINGS
 from fmuid.core.errors import FmuidError
 from fmuid.page.elements import (
     Choice,
+    Input,
     Notes,
     button,
     curve,
@@ -50,6 +51,7 @@ class PrepareView:
         self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
         self._dragged: str | None = None
         self._updates: list[Callable[[Mapping[tuple[Kind, str], list[Message]]], None]] = []
+        self._places: set[tuple[Kind, str]] = set()
         self._shape: object = None
         with element("div", "beside"):
             self._main = element("div")
@@ -65,13 +67,13 @@ class PrepareView:
         with element("div", "buttons"):
             self._undo = button("Undo", lambda: self._act(self._work.undo))
             self._redo = button("Redo", lambda: self._act(lambda: self._work.edit(lambda f: f.redo())))
-        self._file = element("textarea", "file", aria_label="Text of campaign.toml", spellcheck="false")
-        self._file.props["value"] = self._work.file.text
-        self._file.on("change", self._typed, js_handler="(event) => emit(event.target.value)")
+        self._file_text = self._work.file.text
+        self._file = Input("textarea", "Text of campaign.toml", self._file_text, self._typed, spellcheck="false")
+        self._file.element.classes("file")
         text("p", f"Saved as {self._work.file.path}. Comments are kept.", "soft")
 
-    def _typed(self, event: Any) -> None:
-        self._act(lambda: self._work.edit(lambda f: f.replace(str(event.args))))
+    def _typed(self, content: str) -> None:
+        self._act(lambda: self._work.edit(lambda f: f.replace(content)))
 
     def _act(self, action: Callable[[], object]) -> None:
         with told():
@@ -101,14 +103,16 @@ class PrepareView:
     def _build(self) -> None:
         self._shape = self._structure()
         self._updates.clear()
+        self._places.clear()
         self._main.clear()
         with self._main:
             self._status = text("p", "", "headline", role="status")
-            self._notes("campaign", "")
+            elsewhere = Notes()
             self._columns()
             self._parameters()
             self._runs()
             self._graph()
+        self._updates.append(lambda messages: elsewhere.show(self._without_place(messages)))
         self._shown = -1
         self._show()
         ui.timer(0.05, self._simulate, once=True)
@@ -128,9 +132,9 @@ class PrepareView:
         others = sum(m.level == "warning" for m in self._work.messages)
         words = f"{errors} to correct" if errors else "Ready to run"
         set_text(self._status, words + (f", {others} warnings" if others > 1 else ", 1 warning" if others else ""))
-        if self._file.props["value"] != self._work.file.text:
-            self._file.props["value"] = self._work.file.text
-            self._file.update()
+        if self._file_text != self._work.file.text:  # otherwise a text that was refused stays, to be corrected
+            self._file_text = self._work.file.text
+            self._file.show(self._file_text)
         enable(self._undo, self._work.file.can_undo)
         enable(self._redo, self._work.file.can_redo)
 
@@ -155,7 +159,17 @@ class PrepareView:
 
     def _notes(self, kind: Kind, name: str) -> None:
         notes = Notes()
+        self._places.add((kind, name))
         self._updates.append(lambda messages: notes.show(messages.get((kind, name), [])))
+
+    def _without_place(self, messages: Mapping[tuple[Kind, str], list[Message]]) -> list[Message]:
+        """Return the messages about parts of the campaign that are not on the page, with the name of the part."""
+        return [
+            replace(m, what=f"{kind} {name}: {m.what}") if name else m
+            for (kind, name), some in messages.items()
+            if (kind, name) not in self._places
+            for m in some
+        ]
 
     # ---------------------------------------------------------------- columns and variables
 
@@ -176,6 +190,7 @@ class PrepareView:
                 for column in self._work.columns(self._run):
                     self._column(column, setup)
         self._chips = element("div")
+        self._chips_of: list[str] = []
         self._updates.append(lambda _: self._free_variables(setup))
 
     def _timing(self, setup: str) -> None:
@@ -225,6 +240,7 @@ class PrepareView:
                         lambda key: self._act(lambda: self._work.set_signal_timing(column.name, key)),
                     )
         now = column.variable or ""
+        self._places.add(("signal", column.name))
 
         def update(messages: Mapping[tuple[Kind, str], list[Message]]) -> None:
             current = {c.name: c.variable or "" for c in self._work.columns(self._run)}
@@ -245,6 +261,9 @@ class PrepareView:
     def _free_variables(self, setup: str) -> None:
         taken = {c.variable for c in self._work.columns(self._run)}
         left = {n: v for n, v in self._work.variables(setup).items() if n not in taken}
+        if self._chips_of == list(left):  # a chip stays while something is dragged to it
+            return
+        self._chips_of = list(left)
         self._chips.clear()
         if not left:
             return
@@ -285,6 +304,7 @@ class PrepareView:
                 text("summary", f"{len(others)} more parameters of the model, fixed at its values")
                 self._tables.append(ParameterTable("Other parameters of the model", others, self._work, self._act))
 
+        self._places |= {("parameter", row.name) for row in rows}
         for table in self._tables:
             self._updates.append(table.show)
 
@@ -303,6 +323,8 @@ class PrepareView:
                         with element("th", "name wide", scope="row"):
                             text("span", first.id)
                             notes = Notes()
+                            ids = (first.id, *repeats)
+                            self._places |= {("experiment", id) for id in ids}
                         with element("td", data_label="Used for"):
                             choice = Choice(
                                 f"Use of run {first.id}",
@@ -316,12 +338,12 @@ class PrepareView:
 
                     def update(
                         messages: Mapping[tuple[Kind, str], list[Message]],
-                        id: str = first.id,
+                        ids: tuple[str, ...] = ids,
                         choice: Choice = choice,
                         notes: Notes = notes,
                     ) -> None:
-                        choice.show(self._work.role(id))
-                        notes.show(messages.get(("experiment", id), []))
+                        choice.show(self._work.role(ids[0]))
+                        notes.show([m for id in ids for m in messages.get(("experiment", id), [])])
 
                     self._updates.append(update)
         for stage in self._work.file.tables.get("stages", {}):

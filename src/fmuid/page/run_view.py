@@ -189,8 +189,7 @@ class RunView:
             (self._stop, stage is not None),
             (self._best, bool(self._best_values())),
         ):
-            if made.props.get("disabled", None) is not (not usable):
-                enable(made, usable)
+            enable(made, usable)
 
     async def _draw(self, stage: StageHistory) -> None:
         drawn: list[Figure] = []

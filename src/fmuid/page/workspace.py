@@ -321,14 +321,15 @@ class Workspace:
     def set_state(self, name: str, state: str) -> None:
         """Make a parameter ``free``, ``fixed`` or ``known``."""
         text = next((parameter_text(m.variables[name]) for m in self.models.values() if name in m.variables), "")
-        self.file.free(name, text)
-        if state != "free":
-            self.file.set_all(
-                {
-                    ("parameters", name, "free"): False,
-                    ("parameters", name, "known"): True if state == "known" else None,
-                }
-            )
+        with self.file.one_edit():
+            self.file.free(name, text)
+            if state != "free":
+                self.file.set_all(
+                    {
+                        ("parameters", name, "free"): False,
+                        ("parameters", name, "known"): True if state == "known" else None,
+                    }
+                )
         self.refresh()
 
     def start_from(self, values: Mapping[str, float]) -> None:
