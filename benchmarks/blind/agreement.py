@@ -23,7 +23,7 @@ def disagreement(rig: Rig, seed: int, folder: Path) -> float:
     """Return the largest difference between plant and model in a run, in standard deviations of the noise."""
     import fmpy
 
-    from fmuid.campaigns.starting import given_model
+    from fmuid.init.starting import given_model
 
     rng = np.random.default_rng([seed, rig.number, 11])
     values = {n: v * float(np.exp(rng.uniform(-0.2, 0.2))) for n, v in rig.nominal.items()}

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fmuid.campaigns.campaign_toml import load_campaign as load_campaign
-    from fmuid.campaigns.starting import start as start
     from fmuid.core.campaign import AnalysisSpec as AnalysisSpec
     from fmuid.core.campaign import Campaign as Campaign
     from fmuid.core.campaign import CriterionSpec as CriterionSpec
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
     from fmuid.identification.uncertainty.sobol_morris import global_sensitivity_of as global_sensitivity_of
     from fmuid.identification.validate import Validation as Validation
     from fmuid.identification.validate import validate as validate
+    from fmuid.init.starting import start as start
     from fmuid.sensitivity_pipeline import global_sensitivity as global_sensitivity
     from fmuid.simulation.coupled.loading import couple as couple
     from fmuid.simulation.coupled.loading import load_model as load_model
@@ -102,7 +102,7 @@ _PUBLIC = {
     "read_history": "identification.history",
     "read_measurements": "data.measurements",
     "sensitivity_of": "identification.uncertainty.sensitivity",
-    "start": "campaigns.starting",
+    "start": "init.starting",
     "uncertainty_of": "identification.uncertainty.confidence",
     "validate": "identification.validate",
     "write_measurements": "data.measurements",

@@ -16,14 +16,14 @@ from benchmarks.rigs.logs import Recording, write_logs
 from benchmarks.rigs.rehearsal_rigs import REHEARSED_ON
 from benchmarks.rigs.shaker import SHAKER
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.campaigns.first_choice import independent_columns
-from fmuid.campaigns.known_values import is_drawn
-from fmuid.campaigns.new_campaign import match_columns
 from fmuid.cli.app import run
 from fmuid.core.experiments import Measurements
 from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.identification.result import Result
 from fmuid.identification.validate import validate
+from fmuid.init.first_choice import independent_columns
+from fmuid.init.known_values import is_drawn
+from fmuid.init.new_campaign import match_columns
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.simulator import Task, Variable
 from tests.simulation.fmus import FAULTS, make_oscillator

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -50,13 +51,18 @@ def test_no_module_and_no_package_imports_itself_through_others(imports: dict[st
     TopologicalSorter(packages).prepare()
 
 
-def test_the_export_imports_nothing_of_fmuid(imports: dict[str, set[str]]) -> None:
-    users = {
-        m
-        for m, others in imports.items()
-        if m.startswith("fmu_build") and any(o.startswith("fmuid") for o in others)
-    }
-    assert users == set()
+def test_a_package_imports_only_those_above_it_in_the_table(imports: dict[str, set[str]]) -> None:
+    rows = re.findall(r"^\| `(\w+)` \|", (ROOT / "CONTRIBUTING.md").read_text(), re.MULTILINE)
+    order = {name if name == "fmu_build" else f"fmuid.{name}": number for number, name in enumerate(rows)}
+    names = {module: ".".join(module.split(".")[: 2 - module.startswith("fmu_build")]) for module in FILES}
+    assert set(names.values()) - {"fmuid"} == order.keys()
+    upwards = [
+        f"{module} imports {other}"
+        for module, others in imports.items()
+        for other in others
+        if order.get(names[module], len(order)) < order.get(names[other], len(order))
+    ]
+    assert upwards == []
 
 
 def test_no_two_modules_have_one_name() -> None:

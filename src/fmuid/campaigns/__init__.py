@@ -1,1 +1,1 @@
-"""Campaign files: reading, checking, and creating them from recorded runs."""
+"""Campaign files: reading and checking."""

@@ -14,7 +14,7 @@ from fmuid.core.errors import CampaignError
 from fmuid.core.files import check_folder
 
 if TYPE_CHECKING:
-    from fmuid.campaigns.not_looked_for import NotLookedFor
+    from fmuid.init.not_looked_for import NotLookedFor
     from fmuid.simulation.runners import Runner
 
 
@@ -86,9 +86,9 @@ def _of_model(
 ) -> tuple[dict[str, list[str]], tuple[NotLookedFor, ...]]:
     from fmu_build.flat_model import constant
     from fmu_build.model_ports import held_parameters
-    from fmuid.campaigns.not_looked_for import inside
     from fmuid.core.campaign import ModelSource
     from fmuid.diagnosis.made_catalogue import possible_laws
+    from fmuid.init.not_looked_for import inside
     from fmuid.simulation.model_source import flat_model
 
     flat = flat_model(ModelSource.at(file, class_name, roots=roots))
@@ -100,8 +100,8 @@ def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]
     import tomllib
 
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.campaigns.not_looked_for import not_looked_for
     from fmuid.diagnosis.made_catalogue import made_catalogue
+    from fmuid.init.not_looked_for import not_looked_for
     from fmuid.simulation.coupled.loading import load_simulator
 
     campaign = load_campaign(folder)

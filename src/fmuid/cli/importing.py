@@ -14,9 +14,9 @@ from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
 from fmuid.core.errors import FmuidError
 
 if TYPE_CHECKING:
-    from fmuid.campaigns.starting import GivenModel
     from fmuid.data.recordings.resampling import TimeBase
     from fmuid.data.table_layout import TableLayout
+    from fmuid.init.starting import GivenModel
 
 
 _METHODS = ("linear", "hold", "mean")
@@ -265,8 +265,8 @@ def init(
     """
     from dataclasses import asdict
 
-    from fmuid.campaigns.new_campaign import new_campaign
-    from fmuid.campaigns.starting import by_name
+    from fmuid.init.new_campaign import new_campaign
+    from fmuid.init.starting import by_name
 
     printer = Printer(quiet, json)
     given = given_of(fmu, model, class_name, root or [])
@@ -336,7 +336,7 @@ def _span(texts: list[str]) -> tuple[float, float]:
 
 def given_of(fmu: Path | None, model: Path | None, class_name: str | None, roots: list[Path]) -> GivenModel:
     """Return the model that `--fmu` or `--model` names."""
-    from fmuid.campaigns.starting import given_model
+    from fmuid.init.starting import given_model
 
     given = [file for file in (fmu, model) if file is not None]
     if len(given) != 1:

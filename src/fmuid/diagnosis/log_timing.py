@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmuid.campaigns.timing import chosen, conventions_of
 from fmuid.core.campaign import Campaign, without_owner
 from fmuid.diagnosis.diagnose import Found
+from fmuid.init.timing import chosen, conventions_of
 from fmuid.simulation.runners import Runner
 from fmuid.simulation.signal_effects import signal_and_property
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fmuid.campaigns.new_campaign import new_campaign
-from fmuid.campaigns.starting import GivenModel, by_name
 from fmuid.core.errors import FmuidError
 from fmuid.data.table_layout import TableLayout
 from fmuid.diagnosis.corrected import FOLDER
@@ -15,13 +13,15 @@ from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.continued import is_run
 from fmuid.identification.result import Result
+from fmuid.init.new_campaign import new_campaign
+from fmuid.init.starting import GivenModel, by_name
 from fmuid.page.workspace import Workspace
 from fmuid.simulation.runners import Runner, in_process
 
 
 @dataclass(frozen=True, slots=True)
 class NewFrom:
-    """A model and options for a new campaign from logs; see `fmuid.campaigns.new_campaign.new_campaign`."""
+    """A model and options for a new campaign from logs; see `fmuid.init.new_campaign.new_campaign`."""
 
     model: GivenModel
     folder: Path

@@ -10,7 +10,6 @@ from typing import Any, get_args
 import numpy as np
 
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.campaigns.new_campaign import parameter_text
 from fmuid.core.campaign import SEPARATOR, Campaign, Timing
 from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Causality, Experiment, Measurements, Signal
@@ -23,6 +22,7 @@ from fmuid.identification.check import load_models
 from fmuid.identification.full_check import Checked, static_check, with_effects
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.validate import cases_of, predicted
+from fmuid.init.new_campaign import parameter_text
 from fmuid.page.campaign_edits import CampaignFile
 from fmuid.page.placed_messages import Message
 from fmuid.simulation.runners import Runner, in_process

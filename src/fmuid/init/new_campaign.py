@@ -14,10 +14,6 @@ import numpy as np
 
 from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
-from fmuid.campaigns.first_choice import FirstChoice, first_choice, runs_away, solver_error
-from fmuid.campaigns.known_values import CERTAIN, ModelText, guessed_bounds, is_temperature
-from fmuid.campaigns.not_looked_for import NotLookedFor, not_looked_for
-from fmuid.campaigns.seen_run import seen_run
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements, Signal
@@ -31,6 +27,10 @@ from fmuid.data.noise.level import conversion_at
 from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.data.table_layout import TableLayout
+from fmuid.init.first_choice import FirstChoice, first_choice, runs_away, solver_error
+from fmuid.init.known_values import CERTAIN, ModelText, guessed_bounds, is_temperature
+from fmuid.init.not_looked_for import NotLookedFor, not_looked_for
+from fmuid.init.seen_run import seen_run
 from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model, load_simulator
 from fmuid.simulation.fmu import Fmu, load_fmu
@@ -73,7 +73,7 @@ def new_campaign(
     """Write a campaign, ready to run, from recorded runs and an FMU.
 
     Columns are matched with the FMU's inputs and outputs by name or, if unique, by unit. See
-    `fmuid.campaigns.first_choice` for the choice of free parameters and input interpolation. The last run is kept
+    `fmuid.init.first_choice` for the choice of free parameters and input interpolation. The last run is kept
     for validation.
 
     Parameters

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmuid.campaigns.known_values import guessed_bounds
 from fmuid.core.campaign import Interpolation
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
 from fmuid.identification.solvers.trust_region import trust_region
+from fmuid.init.known_values import guessed_bounds
 from fmuid.simulation.runners import Runner, simulated
 from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.campaigns.seen_run import SeenRun
 from fmuid.core.campaign import Timing
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
+from fmuid.init.seen_run import SeenRun
 from fmuid.simulation.runners import Runner
 from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Variable

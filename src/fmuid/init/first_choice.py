@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmuid.campaigns.known_values import (
+from fmuid.core.errors import FmuidError, ProblemError
+from fmuid.core.experiments import Experiment
+from fmuid.core.immutable import FloatArray
+from fmuid.init.known_values import (
     DEFAULT,
     ModelText,
     is_drawn,
@@ -16,11 +19,8 @@ from fmuid.campaigns.known_values import (
     table_entries,
     why_known,
 )
-from fmuid.campaigns.seen_run import in_segments, seen_run
-from fmuid.campaigns.timing import Convention, LostRow, chosen, lost_rows, timed, timing_conventions
-from fmuid.core.errors import FmuidError, ProblemError
-from fmuid.core.experiments import Experiment
-from fmuid.core.immutable import FloatArray
+from fmuid.init.seen_run import in_segments, seen_run
+from fmuid.init.timing import Convention, LostRow, chosen, lost_rows, timed, timing_conventions
 from fmuid.simulation.runners import Runner
 from fmuid.simulation.segmented import Growth, open_loop
 from fmuid.simulation.simulator import Simulator, Variable
@@ -83,7 +83,7 @@ def first_choice(
     Parameters with independent effects on the outputs are free (QR with column pivoting of the relative
     sensitivities). Lengths and ratios come last: if one is redundant with parameters that only measurements can
     show, it is fixed, because it is known from drawings. Known values are also fixed.
-    See `fmuid.campaigns.timing` for the timing of the signals.
+    See `fmuid.init.timing` for the timing of the signals.
 
     Parameters
     ----------

@@ -9,12 +9,12 @@ import pytest
 
 from fmu_build import build
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.campaigns.seen_run import SeenRun
-from fmuid.campaigns.timing import chosen, lost_rows, timing_conventions
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.identification.problem.cases import from_campaign
+from fmuid.init.seen_run import SeenRun
+from fmuid.init.timing import chosen, lost_rows, timing_conventions
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.runners import in_process
 from fmuid.simulation.simulator import Task

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from fmuid.campaigns.campaign_toml import load_campaign
-from fmuid.campaigns.known_values import (
+from fmuid.cli.app import run
+from fmuid.core.campaign import ModelSource
+from fmuid.identification.result import Result
+from fmuid.init.known_values import (
     CONSTANT,
     DEFAULT,
     MEDIUM,
@@ -20,9 +23,6 @@ from fmuid.campaigns.known_values import (
     table_entries,
     why_known,
 )
-from fmuid.cli.app import run
-from fmuid.core.campaign import ModelSource
-from fmuid.identification.result import Result
 from fmuid.simulation.simulator import Variable
 
 CART = """

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
-from fmuid.campaigns.new_campaign import new_campaign
 from fmuid.core.campaign import Campaign, ModelSource, is_modelica
 from fmuid.core.errors import CampaignError, FmuidError
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.data.table_layout import TableLayout
+from fmuid.init.new_campaign import new_campaign
 from fmuid.simulation.pool.choice import runner_on
 
 

@@ -1,0 +1,1 @@
+"""`fmuid init`: a first campaign from logs and a model."""
