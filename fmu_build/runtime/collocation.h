@@ -1,4 +1,4 @@
-/* The collocation equations of sensitivity.c: what it shares with sensitivity_rare.c. */
+/* The collocation equations of sensitivity.c: what it shares with sensitivity_rare.c and pivoted_blocks.c. */
 #ifndef FMUID_COLLOCATION_H
 #define FMUID_COLLOCATION_H
 
@@ -65,7 +65,7 @@ static inline double input_move(const Drive *a, size_t n, int i, size_t j, doubl
     return a->seeds[i * n + j] + a->rates[i * n + j] * (t - a->t);
 }
 
-/* sensitivity_rare.c: the factorisation with pivots chosen by size, and the solution by it. */
+/* pivoted_blocks.c: the factorisation with pivots chosen by size, and the solution by it. */
 int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]);
 int solve_pivoted(struct Sensitivity *q, const double *y, double *to);
 

@@ -5,7 +5,7 @@
 
 #include "instance.h"
 
-static const Pattern PATTERN_R = PATTERN(R);
+static const Pattern PATTERN_R = PATTERN(R), PATTERN_I = PATTERN(I);
 
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u) {
     State *s = &me->s;
@@ -175,6 +175,36 @@ int second_derivatives(Instance *me, double t, const double *x, double *second) 
     return 0;
 }
 
+/* Truth of every relation at (t, x, u) with the present m, z and y; within `slack` of its threshold it is as in m. */
+void relations_within(Instance *me, double slack, double t, const double *x, const double *u, double *m) {
+    double g[LENGTH(NM)] = {0};
+    environment_at(me, &t, x, u);
+    me->res[0] = g;
+    CALL(indicators);
+    for (int i = 0; i < NM; i++)
+        m[i] = fabs(g[i]) <= slack ? me->s.m[i] : MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
+}
+
+void relations(Instance *me, double t, const double *x, const double *u, double *m) {
+    relations_within(me, -1.0, t, x, u, m); /* no such tolerance */
+}
+
+/* Between communication points an input may have changed before the event iteration of the next step: for reading
+ * variables the relations follow it at once, the discrete variables do not. `kept` receives the old relations. */
+int relations_for_input(Instance *me, double *kept) {
+    State *s = &me->s;
+    memcpy(kept, s->m, sizeof s->m);
+    if (NM == 0 || !s->input_event || s->phase != PHASE_STEP) return 0;
+    for (int round = 0; round < 10; round++) {
+        double m[LENGTH(NM)] = {0};
+        if (solve_loop(me, s->t, s->x, s->u)) return 1;
+        relations(me, s->t, s->x, s->u, m);
+        if (!memcmp(m, s->m, sizeof m)) break;
+        memcpy(s->m, m, sizeof m);
+    }
+    return 0;
+}
+
 int evaluate_derivatives(Instance *me) {
     State *s = &me->s;
     if (s->have_dx) return 0;
@@ -254,6 +284,57 @@ int variables_along(Instance *me, double t, const double *x, const double *u, Di
     environment_along(me, &t, x, u, s, 9);
     me->res[0] = s->v;
     return CALL(variable_partials);
+}
+
+/* Derivative of the calculated parameters in the direction sp. */
+int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
+    me->arg[0] = me->s.p;
+    me->arg[1] = sp;
+    me->res[0] = sd;
+    return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
+}
+
+/* Derivative of the start values [x; z] along s->p and s->d. */
+static int starts_along(Instance *me, const Direction *s, double *starts) {
+    const double *const arguments[] = {me->s.p, me->s.d, s->p, s->d};
+    for (int i = 0; i < 4; i++) me->arg[i] = arguments[i];
+    me->res[0] = starts;
+    return model_start_partials(me->arg, me->res, me->iw, me->w, 0);
+}
+
+/* The same of the discrete variables alone, into s->z and s->pz. */
+int discrete_starts_along(Instance *me, Direction *s) {
+    double starts[LENGTH(NX + NZ)];
+    if (NZ == 0) return 0;
+    if (starts_along(me, s, starts)) return 1;
+    memcpy(s->z, starts + NX, sizeof s->z);
+    memcpy(s->pz, starts + NX, sizeof s->pz);
+    return 0;
+}
+
+/* Derivative of the initial state along s->u, s->p, s->d, s->z, s->pz and the start values that were or can be set,
+ * into s->x. */
+int initial_states_along(Instance *me, const double *start, Direction *s) {
+    enum { N = NX + NY };
+    const State *now = &me->s;
+    double sxs[LENGTH(NX + NZ)] = {0}, r[LENGTH(N)];
+    if (starts_along(me, s, sxs)) return 1;
+    for (int i = 0; i < NX; i++) s->x[i] = now->xs_set[i] ? start[i] : sxs[i] + start[i];
+    if (!MODEL_HAS_INITIAL) return 0;
+    memcpy(sxs, s->x, sizeof s->x);
+    environment_at(me, &now->t, now->x, now->u);
+    me->arg[9] = now->xs;
+    me->res[0] = NULL;
+    me->res[1] = me->initial;
+    if (CALL(initial) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
+    environment_at(me, &now->t, now->x, now->u);
+    const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
+    for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
+    me->res[0] = r;
+    if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
+    SOLVE(I, &me->lu_start, r);
+    for (int i = 0; i < NX; i++) s->x[i] = -r[i];
+    return 0;
 }
 
 /* Appends `more` to a text with room for n characters. */

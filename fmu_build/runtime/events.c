@@ -24,36 +24,6 @@ static int indicators_at(Instance *me, double t, const double *x, const double *
     return CALL(indicators);
 }
 
-/* Truth of every relation at (t, x, u) with the present m, z and y; within `slack` of its threshold it is as in m. */
-static void relations_within(Instance *me, double slack, double t, const double *x, const double *u, double *m) {
-    double g[LENGTH(NM)] = {0};
-    environment_at(me, &t, x, u);
-    me->res[0] = g;
-    CALL(indicators);
-    for (int i = 0; i < NM; i++)
-        m[i] = fabs(g[i]) <= slack ? me->s.m[i] : MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
-}
-
-void relations(Instance *me, double t, const double *x, const double *u, double *m) {
-    relations_within(me, EXACT, t, x, u, m);
-}
-
-/* Between communication points an input may have changed before the event iteration of the next step: for reading
- * variables the relations follow it at once, the discrete variables do not. `kept` receives the old relations. */
-int relations_for_input(Instance *me, double *kept) {
-    State *s = &me->s;
-    memcpy(kept, s->m, sizeof s->m);
-    if (NM == 0 || !s->input_event || s->phase != PHASE_STEP) return 0;
-    for (int round = 0; round < 10; round++) {
-        double m[LENGTH(NM)] = {0};
-        if (solve_loop(me, s->t, s->x, s->u)) return 1;
-        relations(me, s->t, s->x, s->u, m);
-        if (!memcmp(m, s->m, sizeof m)) break;
-        memcpy(s->m, m, sizeof m);
-    }
-    return 0;
-}
-
 /* Indicators for an importer's root finder: they cross zero where the relation shall change. */
 int event_indicators(Instance *me, double *g) {
     State *s = &me->s;

@@ -80,57 +80,6 @@ static Status solve_start(Instance *me) {
     return STATUS_OK;
 }
 
-/* Derivative of the calculated parameters in the direction sp. */
-int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
-    me->arg[0] = me->s.p;
-    me->arg[1] = sp;
-    me->res[0] = sd;
-    return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
-}
-
-/* Derivative of the start values [x; z] along s->p and s->d. */
-static int starts_along(Instance *me, const Direction *s, double *starts) {
-    const double *const arguments[] = {me->s.p, me->s.d, s->p, s->d};
-    for (int i = 0; i < 4; i++) me->arg[i] = arguments[i];
-    me->res[0] = starts;
-    return model_start_partials(me->arg, me->res, me->iw, me->w, 0);
-}
-
-/* The same of the discrete variables alone, into s->z and s->pz. */
-int discrete_starts_along(Instance *me, Direction *s) {
-    double starts[LENGTH(NX + NZ)];
-    if (NZ == 0) return 0;
-    if (starts_along(me, s, starts)) return 1;
-    memcpy(s->z, starts + NX, sizeof s->z);
-    memcpy(s->pz, starts + NX, sizeof s->pz);
-    return 0;
-}
-
-/* Derivative of the initial state along s->u, s->p, s->d, s->z, s->pz and the start values that were or can be set,
- * into s->x. */
-int initial_states_along(Instance *me, const double *start, Direction *s) {
-    enum { N = NX + NY };
-    const State *now = &me->s;
-    double sxs[LENGTH(NX + NZ)] = {0}, r[LENGTH(N)];
-    if (starts_along(me, s, sxs)) return 1;
-    for (int i = 0; i < NX; i++) s->x[i] = now->xs_set[i] ? start[i] : sxs[i] + start[i];
-    if (!MODEL_HAS_INITIAL) return 0;
-    memcpy(sxs, s->x, sizeof s->x);
-    environment_at(me, &now->t, now->x, now->u);
-    me->arg[9] = now->xs;
-    me->res[0] = NULL;
-    me->res[1] = me->initial;
-    if (CALL(initial) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
-    environment_at(me, &now->t, now->x, now->u);
-    const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
-    for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
-    me->res[0] = r;
-    if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
-    SOLVE(I, &me->lu_start, r);
-    for (int i = 0; i < NX; i++) s->x[i] = -r[i];
-    return 0;
-}
-
 /* Dependent parameters, start values, initial equations and the first event iteration, from what has been set. */
 Status initialise(Instance *me) {
     State *s = &me->s;

@@ -103,8 +103,12 @@ struct Instance {
     struct Sensitivity *sensitivity; /* NULL: none asked for */
 };
 
-/* Messages: a failure says what, where and when; returns `status`. */
+/* variables.c: by value reference; a failure says what, where and when and returns `status` */
 Status report(const Instance *me, Status status, const char *format, ...);
+Status whole_numbers(const Instance *me);
+const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type);
+const VariableEntry *differentiable(const Instance *me, unsigned reference);
+int input_place(unsigned reference, double *sign);
 
 /* A direction in the independent vectors (x, u, p, d, z and its pre-values, t), and what follows from it. */
 typedef struct {
@@ -123,6 +127,8 @@ typedef struct {
 /* A generated function of what environment_at and me->res point to. */
 #define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, me->s.laws)
 
+int parameter_direction(unsigned reference, Direction *s, double *start);
+
 /* equations.c: evaluation of the generated functions */
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
 int solve_loop(Instance *me, double t, const double *x, const double *u);
@@ -132,6 +138,9 @@ int right_hand_side(Instance *me, double t, const double *x, double *dx);
 int linearise(Instance *me, double t, const double *x);
 int second_derivatives(Instance *me, double t, const double *x, double *second);
 void input_at(Instance *me, double t);
+void relations_within(Instance *me, double slack, double t, const double *x, const double *u, double *m);
+void relations(Instance *me, double t, const double *x, const double *u, double *m);
+int relations_for_input(Instance *me, double *kept);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
 int partials_along(Instance *me, double t, const double *x, const double *u, Direction *s);
@@ -139,6 +148,9 @@ int derivatives_along(Instance *me, double t, const double *x, const double *u, 
 int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g);
 int update_along(Instance *me, double initial, Direction *s, double *updated);
+int dependent_parameters_along(Instance *me, const double *sp, double *sd);
+int discrete_starts_along(Instance *me, Direction *s);
+int initial_states_along(Instance *me, const double *start, Direction *s);
 Status check_assertions(Instance *me);
 
 /* starts.c */
@@ -147,18 +159,15 @@ Status read_starts(Instance *me, const char *location);
 /* initialise.c */
 void set_defaults(Instance *me);
 Status initialise(Instance *me);
-int dependent_parameters_along(Instance *me, const double *sp, double *sd);
-int discrete_starts_along(Instance *me, Direction *s);
-int initial_states_along(Instance *me, const double *start, Direction *s);
 
 /* events.c */
-void relations(Instance *me, double t, const double *x, const double *u, double *m);
-int relations_for_input(Instance *me, double *kept);
 int event_indicators(Instance *me, double *g);
 Status event_iteration(Instance *me, int initial);
-Status whole_numbers(const Instance *me);
 void find_event(Instance *me, double from, double to, int samples);
 void watch_chattering(Instance *me);
+
+/* dense_output.c */
+void dense_output(const Step *step, double t, double *x);
 
 /* kinks.c */
 double first_kink(Instance *me, double h, int again);
@@ -167,7 +176,6 @@ double next_kink(Instance *me, double from, double to, double *start, int *known
 /* integrator.c */
 void restart_integration(Instance *me);
 Status integrate_step(Instance *me, double target, int exact);
-void dense_output(const Step *step, double t, double *x);
 
 /* simulate.c: what the FMI functions of both versions share */
 Status do_step(Instance *me, double t, double h);
@@ -176,15 +184,14 @@ Status set_value(Instance *me, unsigned reference, VariableType type, double val
 Status set_input_slope(Instance *me, unsigned reference, double slope);
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity);
-const VariableEntry *differentiable(const Instance *me, unsigned reference);
-int parameter_direction(unsigned reference, Direction *s, double *start);
-int input_place(unsigned reference, double *sign);
 Status set_experiment(Instance *me, int tolerance_defined, double tolerance, double start, int stop_defined,
                       double stop);
 Status start_simulation(Instance *me);
 Status update_discrete_states(Instance *me, int *states_changed);
 
 /* sensitivity.c, sensitivity_rare.c */
+int has_sensitivities(const Instance *me);
+Status sensitivities_of(Instance *me, const unsigned *variables, size_t n, double *values);
 Status start_sensitivities(Instance *me);
 Status advance_sensitivities(Instance *me, double t, int restart);
 Status enter_event(Instance *me, int inside);

@@ -40,15 +40,6 @@ static const double NODE[8] = {0.0, 0.6358126895828704, 0.4095798393397535, 0.97
                                1.0, 1.0, 1.0};
 static const double D[8] = {0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
                             2.325825639765069, 0.0, 0.0, 0.0};
-static const double H[3][8] = {
-    {25.948786856663858, -2.5579724845846235, 10.433815404888879, -2.3679251022685204, 0.524948541321073,
-     1.1241088310450404, 0.4272876194431874, -0.17202221070155493},
-    {-9.91568850695171, -0.9689944594115154, 3.0438037242978453, -24.495224566215796, 20.176138334709044,
-     15.98066361424651, -6.789040303419874, -6.710236069923372},
-    {11.419903575922262, 2.8879645146136994, 72.92137995996029, 80.12511834622643, -52.072871366152654,
-     -59.78993625266729, -0.15582684282751913, 4.883087185713722},
-};
-
 static const double E[8] = {0.2606326497975715, -0.005158627295444251, 1.3038988631109731, 1.235000722062074,
                             -0.7931985603795049, -1.005448461135913, -0.18044626132120234, 0.17051519239113755};
 
@@ -57,21 +48,6 @@ static const double SMALLEST_SCALE = 1e-6;
 
 /* As fmax, for the loops over all states: compilers may not inline what libm does with zeros. A NaN is passed over. */
 static inline double larger(double a, double b) { return a > b || isnan(b) ? a : b; }
-
-void dense_output(const Step *step, double t, double *x) {
-    if (t >= step->t0 + step->h || step->h <= 0.0) {
-        memcpy(x, step->x1, NX * sizeof *x);
-        return;
-    }
-    const double r = (t - step->t0) / step->h, q = 1.0 - r;
-    double weight[STAGES];
-    for (int j = 0; j < STAGES; j++) weight[j] = r * q * (H[0][j] + r * (H[1][j] + r * H[2][j]));
-    for (int i = 0; i < NX; i++) {
-        double sum = 0.0;
-        for (int j = 0; j < STAGES; j++) sum += weight[j] * step->k[j][i];
-        x[i] = q * step->x0[i] + r * step->x1[i] + sum;
-    }
-}
 
 /* Starts anew at (s.t, s.x) with the present inputs; what was integrated beyond s.t is forgotten. */
 void restart_integration(Instance *me) {

@@ -429,13 +429,9 @@ static const double *row_of(const struct Sensitivity *q, Vector vector, int inde
     }
 }
 
-int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values) {
-    Instance *me = instance;
-    if (!me) return STATUS_ERROR;
+/* The derivatives of variables along the directions, at the present point. */
+Status sensitivities_of(Instance *me, const unsigned *variables, size_t n, double *values) {
     struct Sensitivity *q = me->sensitivity;
-    if (!q || q->n == 0 || !(me->s.phase & (PHASE_INITIALIZATION | PHASE_STEP)))
-        return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
-    if (!me->s.initialised && me->s.phase == PHASE_INITIALIZATION && initialise(me) > STATUS_WARNING) return STATUS_ERROR;
     int system = NY > 0, shown = 0, all = 0;
     unsigned char asked[LENGTH(NV)] = {0};
     for (size_t i = 0; i < n; i++) {

@@ -1,37 +1,12 @@
 /* Values by reference, co-simulation steps and directional derivatives: the FMI functions without their names. */
 #include <math.h>
-#include <stdarg.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "instance.h"
+#include "sensitivity.h"
 
 static const long MAX_STEPS = 5000000; /* in one communication step: something is wrong, do not hang */
 static const int MAX_EVENTS = 1000;    /* without progress in time */
-
-static const VariableEntry VARIABLE[] = MODEL_VARIABLES;
-
-Status report(const Instance *me, Status status, const char *format, ...) {
-    char message[512];
-    va_list list;
-    va_start(list, format);
-    vsnprintf(message, sizeof message, format, list);
-    va_end(list);
-    me->listener.log(me->listener.callback, me->listener.environment, me->name, status, message);
-    return status;
-}
-
-/* Integers have 32 bits, but are calculated as doubles. */
-Status whole_numbers(const Instance *me) {
-    for (int i = 0; i < MODEL_N_VARIABLES; i++) {
-        const VariableEntry *entry = &VARIABLE[i];
-        if (entry->type != TYPE_INTEGER || (entry->vector != VECTOR_Z && entry->vector != VECTOR_D)) continue;
-        const double value = (entry->vector == VECTOR_Z ? me->s.z : me->s.d)[entry->index];
-        if (!(fabs(value) <= 2147483648.0))
-            return report(me, STATUS_ERROR, "t = %.9g: integer overflow: %s would be %.9g", me->s.t, entry->name, value);
-    }
-    return STATUS_OK;
-}
 
 /* Brings what `vector` holds up to date at the current point. */
 static Status refresh(Instance *me, Vector vector) {
@@ -66,21 +41,6 @@ static const double *vector_of(const Instance *me, Vector vector) {
     case VECTOR_G: return me->g;
     default: return constants;
     }
-}
-
-static const char *const TYPE_NAME[] = {"Real", "Integer", "Boolean"};
-
-static const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type) {
-    if (reference >= MODEL_N_VARIABLES) {
-        report(me, STATUS_ERROR, "no variable has the value reference %u", reference);
-        return NULL;
-    }
-    if (VARIABLE[reference].type != type) {
-        report(me, STATUS_ERROR, "%s is of type %s, not %s", VARIABLE[reference].name,
-               TYPE_NAME[VARIABLE[reference].type], TYPE_NAME[type]);
-        return NULL;
-    }
-    return &VARIABLE[reference];
 }
 
 Status get_value(Instance *me, unsigned reference, VariableType type, double *value) {
@@ -269,14 +229,6 @@ Status do_step(Instance *me, double t, double h) {
     return check_assertions(me);
 }
 
-/* A real variable that has a derivative; NULL with a message. */
-const VariableEntry *differentiable(const Instance *me, unsigned reference) {
-    const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
-    if (!entry || entry->vector != VECTOR_G) return entry;
-    report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
-    return NULL;
-}
-
 /* The derivatives of a vector along a direction; NULL: zeros. */
 static const double *vector_along(const Direction *s, Vector vector) {
     switch (vector) {
@@ -290,25 +242,6 @@ static const double *vector_along(const Direction *s, Vector vector) {
     case VECTOR_V: return s->v;
     default: return NULL;
     }
-}
-
-/* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
-int parameter_direction(unsigned reference, Direction *s, double *start) {
-    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL) return 0;
-    const VariableEntry *entry = &VARIABLE[reference];
-    const int is_parameter = entry->settable == SETTABLE_FIXED || entry->settable == SETTABLE_TUNABLE;
-    if (!is_parameter && entry->settable != SETTABLE_START) return 0;
-    (is_parameter ? s->p : start)[entry->index] = entry->sign;
-    return 1;
-}
-
-/* Where a real input is in u, -1: it is none; its value is that times `sign`. */
-int input_place(unsigned reference, double *sign) {
-    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL ||
-        VARIABLE[reference].settable != SETTABLE_INPUT)
-        return -1;
-    *sign = VARIABLE[reference].sign;
-    return VARIABLE[reference].index;
 }
 
 /* The vector of a direction that a variable's seed goes into; NULL with a message: nothing to differentiate by. */
@@ -379,4 +312,13 @@ Status start_simulation(Instance *me) {
     s->changed = 0;
     s->phase = s->is_co_simulation ? PHASE_STEP : PHASE_EVENT;
     return check_assertions(me);
+}
+
+int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values) {
+    Instance *me = instance;
+    if (!me) return STATUS_ERROR;
+    if (!has_sensitivities(me) || !(me->s.phase & (PHASE_INITIALIZATION | PHASE_STEP)))
+        return report(me, STATUS_ERROR, "no sensitivities were chosen before the simulation, or it has not started");
+    if (!me->s.initialised && me->s.phase == PHASE_INITIALIZATION && initialise(me) > STATUS_WARNING) return STATUS_ERROR;
+    return sensitivities_of(me, variables, n, values);
 }

@@ -68,3 +68,19 @@ def test_a_package_imports_only_those_above_it_in_the_table(imports: dict[str, s
 def test_no_two_modules_have_one_name() -> None:
     names = Counter(module.rpartition(".")[2] for module in FILES)
     assert {name for name, number in names.items() if number > 1} == {"errors"}  # of either package
+
+
+def called(folder: Path) -> dict[str, set[str]]:
+    """C file -> the others in its folder that define functions which it calls."""
+    texts = {path.name: re.sub(r"/\*.*?\*/", "", path.read_text(), flags=re.DOTALL) for path in folder.glob("*.c")}
+    definition = re.compile(r"^(?!static)\w[\w *]*?\b(\w+)\([^;{}]*\)\s*\{", re.MULTILINE)
+    homes = {name: file for file, text in texts.items() for name in definition.findall(text)}
+    words = {file: set(re.findall(r"\b\w+(?=\()", text)) & homes.keys() for file, text in texts.items()}
+    return {file: {homes[name] for name in names} - {file} for file, names in words.items()}
+
+
+@pytest.mark.parametrize("folder", ["fmu_build/runtime", "src/fmuid/simulation"])
+def test_no_c_file_calls_itself_through_others(folder: str) -> None:
+    calls = called(ROOT / folder)
+    assert sum(map(len, calls.values())) > len(calls) / 2
+    TopologicalSorter(calls).prepare()

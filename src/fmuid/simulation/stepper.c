@@ -12,52 +12,7 @@
 #include <string.h>
 #include <time.h>
 
-int32_t fail(Plan *plan, int32_t place, int32_t status)
-{
-    plan->call = place;
-    plan->status = status;
-    return CALL_FAILED;
-}
-
-static inline int32_t exchange(Plan *plan, int32_t fmi, const Group *g, int32_t place, void *buffer)
-{
-    int32_t status;
-    if (fmi == 2)
-        status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *))g->function)(
-            plan->instance, g->references, g->n_references, buffer);
-    else
-        status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *, size_t))g->function)(
-            plan->instance, g->references, g->n_references, buffer, g->n_values);
-    return status > 1 ? fail(plan, place, status) : DONE;
-}
-
-#define EACH(statement) for (int32_t i = 0; i < g->n_columns; i++) { statement; } break
-#define PUT(T) EACH(((T *)g->buffer)[g->place[i]] = (T)row[g->column[i]])
 #define TAKE(T) EACH(row[g->column[i]] = (double)((const T *)g->buffer)[g->place[i]])
-
-int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row)
-{
-    for (const Group *g = groups; g < groups + n_groups; g++) {
-        if (g->direct) {
-            TRY(exchange(plan, plan->fmi, g, SET_VALUES, (void *)row));
-            continue;
-        }
-        switch (g->type) {
-        case FLOAT64: PUT(double);
-        case FLOAT32: PUT(float);
-        case INT8: PUT(int8_t);
-        case UINT8: PUT(uint8_t);
-        case INT16: PUT(int16_t);
-        case UINT16: PUT(uint16_t);
-        case INT32: PUT(int32_t);
-        case UINT32: PUT(uint32_t);
-        case INT64: PUT(int64_t);
-        default: PUT(uint64_t);
-        }
-        TRY(exchange(plan, plan->fmi, g, SET_VALUES, g->buffer));
-    }
-    return DONE;
-}
 
 /* Read all outputs, or only those that are read after the inputs act. */
 static int32_t get_groups(Plan *plan, double *row, bool after)

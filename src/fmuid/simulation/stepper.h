@@ -108,6 +108,13 @@ void fmuid_clear_log(void);
 
 typedef int32_t (*Plain)(Instance);
 
+static inline int32_t fail(Plan *plan, int32_t place, int32_t status)
+{
+    plan->call = place;
+    plan->status = status;
+    return CALL_FAILED;
+}
+
 /* Call the FMU's function at `place`; leave if it answers Discard, Error or Fatal. */
 #define CALL(place, type, ...) \
     do { \
@@ -117,8 +124,45 @@ typedef int32_t (*Plain)(Instance);
 /* Leave with what went wrong, if anything did. */
 #define TRY(expression) do { int32_t outcome_ = (expression); if (outcome_ != DONE) return outcome_; } while (0)
 
-int32_t fail(Plan *plan, int32_t place, int32_t status);
-int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row);
+static inline int32_t exchange(Plan *plan, int32_t fmi, const Group *g, int32_t place, void *buffer)
+{
+    int32_t status;
+    if (fmi == 2)
+        status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *))g->function)(
+            plan->instance, g->references, g->n_references, buffer);
+    else
+        status = ((int32_t (*)(Instance, const uint32_t *, size_t, void *, size_t))g->function)(
+            plan->instance, g->references, g->n_references, buffer, g->n_values);
+    return status > 1 ? fail(plan, place, status) : DONE;
+}
+
+#define EACH(statement) for (int32_t i = 0; i < g->n_columns; i++) { statement; } break
+#define PUT(T) EACH(((T *)g->buffer)[g->place[i]] = (T)row[g->column[i]])
+
+static inline int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row)
+{
+    for (const Group *g = groups; g < groups + n_groups; g++) {
+        if (g->direct) {
+            TRY(exchange(plan, plan->fmi, g, SET_VALUES, (void *)row));
+            continue;
+        }
+        switch (g->type) {
+        case FLOAT64: PUT(double);
+        case FLOAT32: PUT(float);
+        case INT8: PUT(int8_t);
+        case UINT8: PUT(uint8_t);
+        case INT16: PUT(int16_t);
+        case UINT16: PUT(uint16_t);
+        case INT32: PUT(int32_t);
+        case UINT32: PUT(uint32_t);
+        case INT64: PUT(int64_t);
+        default: PUT(uint64_t);
+        }
+        TRY(exchange(plan, plan->fmi, g, SET_VALUES, g->buffer));
+    }
+    return DONE;
+}
+
 int32_t get_values(Plan *plan, double *row);
 int32_t enter_initialisation(Plan *plan);
 int32_t do_step(Plan *plan, size_t k);

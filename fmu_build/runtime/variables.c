@@ -1,0 +1,72 @@
+/* The variables by their value references, and messages. */
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+
+#include "instance.h"
+
+static const VariableEntry VARIABLE[] = MODEL_VARIABLES;
+
+Status report(const Instance *me, Status status, const char *format, ...) {
+    char message[512];
+    va_list list;
+    va_start(list, format);
+    vsnprintf(message, sizeof message, format, list);
+    va_end(list);
+    me->listener.log(me->listener.callback, me->listener.environment, me->name, status, message);
+    return status;
+}
+
+/* Integers have 32 bits, but are calculated as doubles. */
+Status whole_numbers(const Instance *me) {
+    for (int i = 0; i < MODEL_N_VARIABLES; i++) {
+        const VariableEntry *entry = &VARIABLE[i];
+        if (entry->type != TYPE_INTEGER || (entry->vector != VECTOR_Z && entry->vector != VECTOR_D)) continue;
+        const double value = (entry->vector == VECTOR_Z ? me->s.z : me->s.d)[entry->index];
+        if (!(fabs(value) <= 2147483648.0))
+            return report(me, STATUS_ERROR, "t = %.9g: integer overflow: %s would be %.9g", me->s.t, entry->name, value);
+    }
+    return STATUS_OK;
+}
+
+static const char *const TYPE_NAME[] = {"Real", "Integer", "Boolean"};
+
+const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type) {
+    if (reference >= MODEL_N_VARIABLES) {
+        report(me, STATUS_ERROR, "no variable has the value reference %u", reference);
+        return NULL;
+    }
+    if (VARIABLE[reference].type != type) {
+        report(me, STATUS_ERROR, "%s is of type %s, not %s", VARIABLE[reference].name,
+               TYPE_NAME[VARIABLE[reference].type], TYPE_NAME[type]);
+        return NULL;
+    }
+    return &VARIABLE[reference];
+}
+
+/* A real variable that has a derivative; NULL with a message. */
+const VariableEntry *differentiable(const Instance *me, unsigned reference) {
+    const VariableEntry *entry = entry_of(me, reference, TYPE_REAL);
+    if (!entry || entry->vector != VECTOR_G) return entry;
+    report(me, STATUS_ERROR, "%s has no directional derivative", entry->name);
+    return NULL;
+}
+
+/* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
+int parameter_direction(unsigned reference, Direction *s, double *start) {
+    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL) return 0;
+    const VariableEntry *entry = &VARIABLE[reference];
+    const int is_parameter = entry->settable == SETTABLE_FIXED || entry->settable == SETTABLE_TUNABLE;
+    if (!is_parameter && entry->settable != SETTABLE_START) return 0;
+    (is_parameter ? s->p : start)[entry->index] = entry->sign;
+    return 1;
+}
+
+/* Where a real input is in u, -1: it is none; its value is that times `sign`. */
+int input_place(unsigned reference, double *sign) {
+    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL ||
+        VARIABLE[reference].settable != SETTABLE_INPUT)
+        return -1;
+    *sign = VARIABLE[reference].sign;
+    return VARIABLE[reference].index;
+}
