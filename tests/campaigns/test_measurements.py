@@ -434,3 +434,31 @@ def test_runs_whose_inputs_differ_by_noise_repeat_a_reference(tmp_path):
     both = replace(marked["c"], repeat_of="a")
     with pytest.raises(MeasurementsError, match="has repeat_of and repeat_of_reference; remove one of them"):
         write_measurements(Measurements({**marked, "c": both}), tmp_path / "n.h5")
+
+
+def test_runs_whose_clocks_differ_are_repeats(tmp_path):
+    rng = np.random.default_rng(3)
+    grid = np.arange(200) * 0.01
+    course = np.sin(5 * grid)
+
+    def run(id, time):
+        y = course + 0.01 * rng.standard_normal(200)
+        signals = {n: Signal(n, v, "1", c) for n, v, c in (("u", course, "input"), ("y", y, "output"))}
+        return Experiment(id, "bench", time, signals)
+
+    jitter = 0.01 * rng.uniform(-0.15, 0.15, 200)
+    times = {
+        "a": 0.3344 + grid,
+        "later": np.round(1.4098 + grid, 4),
+        "jitter": 7.0 + grid + jitter,
+        "slower": 1.1 * grid,
+        "longer": np.append(grid[:-1], 2.5),
+    }
+    marked = with_repeats({id: run(id, time) for id, time in times.items()})
+    assert [r.repeat_of for r in marked.values()] == [None, "a", None, None, None]
+    assert [r.repeat_of_reference for r in marked.values()] == [None, None, "a", None, None]
+    write_measurements(Measurements(marked), tmp_path / "m.h5")
+    assert read_measurements(tmp_path / "m.h5").repeats("a")[1].id == "later"
+    both = replace(marked["slower"], repeat_of="a")
+    with pytest.raises(MeasurementsError, match="repeats 'a' but its time axis differs"):
+        write_measurements(Measurements({**marked, "slower": both}), tmp_path / "n.h5")

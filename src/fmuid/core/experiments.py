@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.formatting import html_table, text_table
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
     from fmuid.core.frames import Library
 
 Causality = Literal["input", "output"]
+SAME_TIMES = 0.1  # sampling intervals: jitter as small as that of rounded times does not count
+NEAR_TIMES = 0.5  # with more jitter than this, samples are no longer counterparts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +69,8 @@ class Experiment:
     settings, setting_units
         Known values that the run sets on the model, by name, and their units (the model's units by default).
     repeat_of
-        Id of the first run with the same inputs, settings and times; None if this run is not a repeat.
+        Id of the first run with the same inputs, settings and times (its clock may have begun elsewhere); None if
+        this run is not a repeat.
     description
         Text for reports.
     machine
@@ -108,6 +113,16 @@ class Experiment:
     def origin(self) -> str:
         """Id of the run this one repeats, or its own."""
         return self.repeat_of or self.id
+
+    def sampled_like(self, other: Experiment, *, within: float = SAME_TIMES) -> bool:
+        """Return whether the samples of another run are at the same times after its start.
+
+        Their clocks may begin at any time, and their times may differ `within` a share of the sampling interval.
+        """
+        if self.time.size != other.time.size:
+            return False
+        apart = self.time - other.time
+        return bool(np.ptp(apart) <= within * np.median(np.diff(self.time)))
 
     @property
     def repeats_another(self) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fmu_build.suggest import did_you_mean
 from fmuid.core.errors import MeasurementsError
-from fmuid.core.experiments import Causality, Experiment, Measurements, Signal
+from fmuid.core.experiments import NEAR_TIMES, SAME_TIMES, Causality, Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
 from fmuid.data import hdf5
 from fmuid.data.isolated_reader import read_isolated
@@ -206,7 +206,7 @@ def _first_difference(experiment: Experiment, origin: Experiment, *, inputs: boo
         return f"setup is '{experiment.setup}', not '{origin.setup}'"
     if experiment.time.size != origin.time.size:
         return f"length is {experiment.time.size}, not {origin.time.size}"
-    if not np.allclose(experiment.time, origin.time, rtol=1e-9, atol=1e-12):
+    if not experiment.sampled_like(origin, within=SAME_TIMES if inputs else NEAR_TIMES):
         return "time axis differs"
     if dict(experiment.settings) != dict(origin.settings):
         return "settings differ"

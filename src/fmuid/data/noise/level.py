@@ -73,9 +73,7 @@ def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str 
         runs = campaign.measurements.repeats(other.id)
         convert = conversion_at(other.outputs[signal].unit, unit, f"signal '{signal}' of experiment '{other.id}'")
         given = [e.outputs[signal].sigma for e in runs if signal in e.outputs]
-        same = [
-            e.outputs[signal].values for e in runs if signal in e.outputs and np.array_equal(e.time, other.time)
-        ]
+        same = [e.outputs[signal].values for e in runs if signal in e.outputs and e.sampled_like(other)]
         level = noise_level(np.array(same), given if len(given) == len(same) else [None])
         if level.source != "unknown":
             found.append((convert.factor**2 * level.differing, convert.factor**2 * level.repeating))
@@ -97,7 +95,7 @@ def repeated_runs(campaign: Campaign, run: Experiment, signal: str, unit: str | 
         same = [
             convert(e.outputs[signal].values)
             for e in campaign.measurements.repeats(other.id)
-            if signal in e.outputs and np.array_equal(e.time, other.time)
+            if signal in e.outputs and e.sampled_like(other)
         ]
         found.append(RepeatedRuns(other.id, other.setup, other.time, (signal,), np.array(same)[:, None]))
     return tuple(found)

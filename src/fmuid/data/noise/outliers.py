@@ -38,7 +38,7 @@ def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Ou
         group = measurements.repeats(origin)
         for name in dict.fromkeys(n for e in group for n in e.outputs):
             runs = [e for e in group if name in e.outputs]
-            same = [e for e in runs if np.array_equal(e.time, runs[0].time)]
+            same = [e for e in runs if e.sampled_like(runs[0])]
             others = [[e] for e in runs if e not in same]
             for alike in (same, *others):
                 values = np.array([e.outputs[name].values for e in alike])

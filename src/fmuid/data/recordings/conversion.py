@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError, UnitError
-from fmuid.core.experiments import Causality, Experiment, Signal
+from fmuid.core.experiments import NEAR_TIMES, SAME_TIMES, Causality, Experiment, Signal
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import check_unit
 from fmuid.data.crosscheck_csv import Table
@@ -159,8 +159,9 @@ def experiment_from_table(
 def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
     """Return the experiments, with each run marked as a repeat of an earlier run that has the same inputs.
 
-    A run whose inputs differ from an earlier one's by less than 5 % of their standard deviation repeats its
-    reference: the two say hardly more than one of them about what the model gets wrong.
+    Clocks may begin at any time. A run whose inputs differ from an earlier one's by less than 5 % of their
+    standard deviation, or whose sampling has jitter, repeats its reference: the two say hardly more than one of
+    them about what the model gets wrong.
     """
     marked: dict[str, Experiment] = {}
     for experiment in experiments.values():
@@ -182,10 +183,11 @@ def table_from_experiment(experiment: Experiment) -> Table:
 
 def _same_run(a: Experiment, b: Experiment, *, within: float = 0.0) -> bool:
     """Return whether two runs agree, their inputs `within` a share of their standard deviations (RMS)."""
+    jitter = NEAR_TIMES if within else SAME_TIMES
     return (
         a.setup == b.setup
         and dict(a.settings) == dict(b.settings)
-        and np.array_equal(a.time, b.time)
+        and b.sampled_like(a, within=jitter)
         and bool(a.inputs)
         and a.inputs.keys() == b.inputs.keys()
         and all(_same_course(s.values, b.inputs[n].values, within) for n, s in a.inputs.items())

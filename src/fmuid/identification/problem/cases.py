@@ -280,7 +280,7 @@ def _same_simulation(a: Experiment, b: Experiment) -> bool:
         and a.setup == b.setup
         and a.machine == b.machine
         and dict(a.settings) == dict(b.settings)
-        and np.array_equal(a.time, b.time)
+        and a.sampled_like(b)
         and a.inputs.keys() == b.inputs.keys()
         and all(np.array_equal(s.values, b.inputs[n].values) for n, s in a.inputs.items())
     )
