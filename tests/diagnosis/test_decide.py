@@ -432,3 +432,26 @@ def test_a_model_is_named_by_what_left_out_experiments_can_say():
     assert closed_by(nominal, uncertain) == pytest.approx(0.9)
     assert names(nominal, uncertain, finished=True)
     assert closed_by(nominal, replace(best, judged=lost(9.0))) == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize(("apart", "classes"), [(0.24, 1), (0.26, 2)])
+def test_laws_of_one_place_are_one_answer_if_no_data_tell_them_apart(apart, classes):
+    effects = {n: Effect(n, n, "joint", (), {}, (), law=n) for n in ("coulomb", "viscous")}
+    nominal = fitted((), 2.0, residuals=([3.0, 0.0],), cost=9.0)
+    answers = [
+        fitted((n,), 0.0, residuals=([0.0, d],), cost=d * d) for n, d in (("coulomb", 0.0), ("viscous", apart))
+    ]
+    found = decide.merge_equivalent(answers, nominal, effects, Recorded(np.array([1.0])))
+    assert len(found) == classes
+
+
+@pytest.mark.parametrize(("closure", "sure"), [(0.65, False), (0.68, True)])
+def test_an_effect_that_closes_two_thirds_is_sure_though_its_rest_enters_at_its_own_place(
+    monkeypatch, closure, sure
+):
+    monkeypatch.setattr(diagnose, "where_it_enters", lambda *_: {})
+    monkeypatch.setattr(diagnose, "places", lambda _: ("joint",))
+    monkeypatch.setattr(diagnose, "without", lambda *_: None)
+    subject = SimpleNamespace(effects=(Effect("coulomb@joint", "", "joint", (), {}, (), law="coulomb"),))
+    nominal, best = fitted((), 2.0), fitted(("coulomb@joint",), 2.0 * (1.0 - closure))
+    assert (diagnose._sure_part(subject, nominal, best, alike=True) is not None) == sure

@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from fmu_build import compile_modelica
+from fmu_build.errors import ModelicaError
 from tests.fmu_build.simulate import Instance, states
 
 STRUCTURE = Path(__file__).parent / "models" / "Structure.mo"
@@ -82,3 +83,17 @@ def test_outer_parameter_is_one_with_the_inner():
     outer = Instance.of(instance("Outer").model, {"g": 2.0})
     np.testing.assert_array_equal(outer.derivative(0.0, np.array([1.0, 0.5, 2.0, 0.0])), [0.5, -2.0, 0.0, -2.0])
     assert [v.name for v in outer.model.variables if v.causality == "parameter"] == ["g"]
+
+
+@pytest.mark.parametrize("times", [8, 9])
+def test_an_equation_is_differentiated_eight_times_and_no_more(tmp_path, times):
+    chain = f"for i in 1:{times} loop der(x[i]) = x[i + 1]; end for;"
+    file = tmp_path / "Chain.mo"
+    file.write_text(f"model Chain Real x[{times + 1}]; equation x[1] = sin(time); {chain} end Chain;")
+    if times > 8:
+        with pytest.raises(ModelicaError, match="structurally singular"):
+            compile_modelica(file, "Chain")
+        return
+    chained = Instance.of(compile_modelica(file, "Chain"))
+    assert states(chained.model) == []
+    assert chained.get("x[9]", 0.3, NOTHING, []) == pytest.approx(np.sin(0.3))

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.signal_effects import disturbed_input, disturbed_readings, split_signal_parameters
+from fmuid.simulation.signal_model import SignalModel
 from fmuid.simulation.simulator import Task, Variable
 
 DT, N, FINE = 0.01, 200, 500
@@ -185,3 +186,21 @@ def test_inputs_that_saturate_have_a_dead_zone_or_see_each_other():
     np.testing.assert_allclose(dead, np.sign(u) * np.maximum(np.abs(u) - 0.5, 0.0))
     both = disturbed_input(TIME, u, {"crosstalk[v]": 0.1}, linear=True, others={"u": u, "v": U}).values
     np.testing.assert_allclose(both, u + 0.1 * U)
+
+
+@pytest.mark.parametrize(
+    ("prop", "unit"),
+    [
+        ("gain", "1"),
+        ("saturation", "N"),
+        ("offset", "N"),
+        ("dead_zone", "N"),
+        ("lag", "s"),
+        ("delay", "s"),
+        ("hardness", "1"),
+    ],
+)
+def test_effects_of_a_signal_have_units(prop, unit):
+    plant = Plant()
+    plant.variables = {**Plant.variables, "y": Variable("y", "output", unit="N")}
+    assert SignalModel(plant, (f"y.{prop}",)).variables[f"y.{prop}"].unit == unit

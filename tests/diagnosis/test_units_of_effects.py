@@ -1,0 +1,46 @@
+"""Units of the parameters that effects of a signal have."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from fmu_build.flat_model import variable
+from fmu_build.model_ports import Port
+from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
+from fmuid.core.campaign import ModelSpec
+from fmuid.core.experiments import Experiment, Signal
+from fmuid.diagnosis.laws import SIZES, Place, effect_lines, fitting
+from fmuid.simulation.simulator import Variable
+
+
+def units(text: str) -> dict[str, list[str]]:
+    """Law -> units of its parameters, of a catalogue for one signal."""
+    effects = tomllib.loads(text)["effects"]
+    return {id.partition("@")[0]: [p["unit"] for p in e["parameters"].values()] for id, e in effects.items()}
+
+
+def test_effects_of_a_recorded_signal_have_its_units():
+    time = np.arange(50) * 0.1
+    runs = [Experiment("run", "bench", time, {"F": Signal("F", np.sin(time), "N", "output")})]
+    spec = ModelSpec("bench", Path("bench.fmu"))
+    found = units(signal_catalogue([RecordedSetup(runs, spec, {"F": Variable("F", "output", unit="N")})]))
+    assert found == {
+        "gain": ["1"],
+        "offset": ["N"],
+        "lag": ["s"],
+        "delay": ["s"],
+        "saturation": ["1/(N)", "1"],
+        "drift": ["N/s"],
+    }
+
+
+def test_laws_at_a_signal_of_the_model_have_its_units():
+    quantities = {"p": variable("F"), "rate": variable("dF")}
+    place = Place(Port("F", "signal", "signal", ("a.y",), ("N", "1"), quantities), dict.fromkeys(SIZES, 1.0))
+    found = {n: units("\n".join(effect_lines(n, law, place)))[n] for n, law in fitting(place)}
+    assert found["gain"] == ["1"]
+    assert found["offset"] == found["dead_zone"] == ["N"]
+    assert found["saturation"] == ["1/(N)", "1"]
