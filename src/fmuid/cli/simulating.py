@@ -10,12 +10,12 @@ import typer
 
 from fmuid.cli.output import Json, Printer, Quiet, numbers, pairs, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, supervised
-from fmuid.core.errors import FmuError, FmuidError
+from fmuid.core.errors import FmuError, FmuidError, SimulationError
 
 if TYPE_CHECKING:
     from fmuid.core.immutable import FloatArray
     from fmuid.data.crosscheck_csv import Table
-    from fmuid.simulation.runners import Runner
+    from fmuid.simulation.runners import Outcome, Runner
     from fmuid.simulation.simulator import Variable
 
 _NO_NUMBERS = ("String", "Binary", "Clock")
@@ -35,7 +35,9 @@ def simulate(
     input_: Annotated[
         Path | None,
         typer.Option(
-            "--input", metavar="CSV", help="CSV file with the inputs of an FMU; also sets the output times."
+            "--input",
+            metavar="FILE",
+            help="File with the inputs of an FMU (CSV, MATLAB); also sets the output times.",
         ),
     ] = None,
     stop: Annotated[float | None, typer.Option(help="Stop time of an FMU, s.")] = None,
@@ -79,7 +81,7 @@ def simulate(
         if experiment:
             raise FmuidError("--experiment applies to campaigns only", fix="leave it out for an FMU")
         with printer.working(f"simulating {model}"), supervised(workers, time_limit, memory_limit) as runner:
-            table = _simulate_fmu(
+            table, notes = _simulate_fmu(
                 model,
                 master or [],
                 pairs(set_ or [], "--set"),
@@ -92,8 +94,10 @@ def simulate(
             )
         target = out or Path(f"{model.stem}.csv")
         _write(table, target)
+        for note in notes:
+            printer.say(f"note: {note}")
         printer.say(f"{target}: {table.time.size} samples of {', '.join(table.columns)}")
-        printer.write({"model": model, "out": target, "variables": list(table.columns)})
+        printer.write({"model": model, "out": target, "variables": list(table.columns), "notes": notes})
         return
     if input_ or stop or step or output:
         raise FmuidError(
@@ -102,6 +106,8 @@ def simulate(
     values = numbers(set_ or [], "--set")
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
         found = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)
+    for note in found["notes"]:
+        printer.say(f"note: {note}")
     printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in found["nrmse"]])
     printer.say(f"{found['out']}: {counted(len({row['experiment'] for row in found['nrmse']}), 'file')}")
     printer.write(found)
@@ -109,6 +115,9 @@ def simulate(
 
 def _value(name: str, text: str, variable: Variable, literals: Mapping[str, int]) -> float:
     """Return a value as the FMU takes it; enumerations and Booleans may be given by name or number."""
+    if variable.type in _NO_NUMBERS:
+        what = f"'{name}' is a {variable.type}, and only numbers can be set"
+        raise FmuidError(what, where="--set", fix="export the FMU with the value that you want")
     if literals:
         found = literals.get(text, next((v for v in literals.values() if text == str(v)), None))
         wanted = f"choose one of {', '.join(f'{n} ({v})' for n, v in literals.items())}"
@@ -138,17 +147,18 @@ def _simulate_fmu(
     outputs: list[str],
     interpolation: Literal["hold", "linear"],
     runner: Runner,
-) -> Table:
+) -> tuple[Table, list[str]]:
+    """Return inputs and outputs, and notes on the simulation."""
     import numpy as np
 
     from fmu_build.suggest import suggestion
     from fmuid.core.units import convert_factor
-    from fmuid.data.crosscheck_csv import Table, read_csv
+    from fmuid.data.crosscheck_csv import Table
+    from fmuid.data.recordings.conversion import read_run
     from fmuid.simulation.coupled.coupling_table import master_of
     from fmuid.simulation.coupled.loading import load_model, load_system
     from fmuid.simulation.fmu import Fmu
-    from fmuid.simulation.runners import simulated
-    from fmuid.simulation.simulator import Task
+    from fmuid.simulation.simulator import EndedError, Task, default_tolerance, needed_tool
 
     fmu = load_system(path, master_of(master, "--master")) if path.suffix == ".ssp" else load_model(path)
     variables = fmu.variables
@@ -158,12 +168,14 @@ def _simulate_fmu(
     literals = {n: fmu.literals(n) if isinstance(fmu, Fmu) else {} for n in texts}
     values = {n: _value(n, text, variables[n], literals[n]) for n, text in texts.items()}
     outputs = outputs or [n for n, v in variables.items() if v.causality == "output" and v.type not in _NO_NUMBERS]
+    notes: list[str] = []
     inputs: dict[str, FloatArray] = {}
     recorded: dict[str, FloatArray] = {}  # inputs as they are in the file
     units: dict[str, str] = {}
     time: FloatArray
     if input_ is not None:
-        table = read_csv(input_)
+        run = read_run(input_)
+        table, notes = run.table, list(run.notes)
         if stop is not None or step is not None:
             raise FmuidError("--input already has times", fix="leave out --stop and --step")
         time, recorded, units = table.time, dict(table.columns), dict(table.units)
@@ -185,10 +197,42 @@ def _simulate_fmu(
         if not 0 < step <= end - begin or (end - begin) / step > 1e8:
             raise FmuidError(f"step {step:g} s does not fit into {end - begin:g} s", fix="give another --step")
         time = np.asarray(begin + step * np.arange(round((end - begin) / step) + 1), dtype=np.float64)
-    task = Task(time, inputs, tuple(outputs), values, interpolation)
-    predictions = simulated(runner, fmu, task, {})
+    if tool := needed_tool(fmu):
+        notes.append(f"{path.name} needs {tool} to be installed (needsExecutionTool)")
+    changed = [n for n, value in values.items() if value != variables[n].start]
+    points = [values, *({k: v for k, v in values.items() if k != n} for n in changed)]
+    outcome, *without = runner(
+        [(fmu, Task(time, inputs, tuple(outputs), point, interpolation), {}) for point in points]
+    )
+    if isinstance(outcome, EndedError):
+        notes.append(f"{outcome.what}; results up to then are kept")
+    elif isinstance(outcome, SimulationError):
+        raise outcome
+    predictions = _part(outcome)
+    within = 10 * (default_tolerance(fmu) or 0.0) * np.abs(predictions).max(axis=1, initial=0.0, keepdims=True)
+    others = dict(zip(changed, map(_part, without), strict=True))
+    no_effect = [
+        n
+        for n, other in others.items()
+        if other.shape == predictions.shape and np.all(np.abs(other - predictions) <= within)
+    ]
+    if no_effect:
+        notes.append(f"no recorded variable depends on {', '.join(no_effect)}")
     units |= {n: variables[n].unit or "" for n in outputs if variables[n].unit}
-    return Table(time, recorded | dict(zip(outputs, predictions, strict=True)), units)
+    kept = {n: v[: predictions.shape[1]] for n, v in recorded.items()}
+    columns = kept | dict(zip(outputs, predictions, strict=True))
+    return Table(time[: predictions.shape[1]], columns, units), notes
+
+
+def _part(outcome: Outcome) -> FloatArray:
+    """Return the predictions of a simulation, empty if it failed."""
+    import numpy as np
+
+    from fmuid.simulation.simulator import EndedError
+
+    if isinstance(outcome, EndedError):
+        return outcome.predictions
+    return np.empty((0, 0)) if isinstance(outcome, SimulationError) else outcome
 
 
 def _simulate_campaign(
@@ -207,7 +251,7 @@ def _simulate_campaign(
     from fmuid.data.crosscheck_csv import Table
     from fmuid.identification.check import load_models, match_models
     from fmuid.identification.problem.cases import from_campaign
-    from fmuid.simulation.runners import simulated
+    from fmuid.simulation.simulator import EndedError
 
     campaign = load_campaign(path)
     models = load_models(campaign)
@@ -224,11 +268,19 @@ def _simulate_campaign(
     starts = campaign.start_values
     point = {n: v for n, v in starts.items() if without_owner(n) not in values} | values
     rows: list[tuple[str, str, float]] = []
+    notes: list[str] = []
     for k, experiment_id in enumerate(chosen):
         experiment = campaign.measurements[experiment_id]
         (case,) = from_campaign(campaign, [experiment], (), models)
         shown(k / len(chosen), f"simulating {experiment_id}")
-        outputs = simulated(runner, case.simulator, case.task, case.start_values(point))
+        (outcome,) = runner([(case.simulator, case.task, case.start_values(point))])
+        outputs = _part(outcome)
+        if isinstance(outcome, EndedError):
+            notes.append(f"{experiment_id}: {outcome.what}; results up to then are kept")
+            missing = case.task.time.size - outputs.shape[1]
+            outputs = np.pad(outputs, ((0, 0), (0, missing)), constant_values=np.nan)
+        elif isinstance(outcome, SimulationError):
+            raise outcome
         prediction = case.sensed(outputs, point)
         columns: dict[str, FloatArray] = {}
         units: dict[str, str] = {}
@@ -237,7 +289,7 @@ def _simulate_campaign(
             columns[f"{channel.signal}_measured"] = channel.mean
             if channel.unit:
                 units |= {channel.signal: channel.unit, f"{channel.signal}_measured": channel.unit}
-            known = np.isfinite(channel.mean)
+            known = np.isfinite(channel.mean) & np.isfinite(predicted)
             error = predicted[known] - channel.mean[known]
             rows.append((experiment_id, channel.signal, _nrmse(error, channel.mean[known])))
         _write(Table(experiment.time, columns, units), target / f"{experiment_id}.csv")
@@ -245,6 +297,7 @@ def _simulate_campaign(
         "campaign": campaign.name,
         "out": target,
         "parameters": point,
+        "notes": notes,
         "nrmse": [{"experiment": e, "signal": s, "nrmse": v} for e, s, v in rows],
     }
 

@@ -19,7 +19,7 @@ from fmuid.core.units import conversion
 from fmuid.identification.problem.segments import growth_of
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.segmented import Growth
-from fmuid.simulation.simulator import Simulator, Variable
+from fmuid.simulation.simulator import Simulator, Variable, needed_tool
 
 Level = Literal["error", "warning", "note"]
 _SETTABLE = ("parameter", "input", "structuralParameter")
@@ -86,6 +86,11 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
         A unit cannot be converted into the variable's.
     """
     findings: dict[Finding, None] = {}
+    for setup, simulator in simulators.items():
+        if tool := needed_tool(simulator):
+            findings[
+                Finding("note", f"[models.{setup}]", f"needs {tool} to be installed (needsExecutionTool)")
+            ] = None
     for experiment in _first_runs(campaign):
         model, simulator = campaign.models[experiment.setup], simulators[experiment.setup]
         where = f"experiment '{experiment.id}'"

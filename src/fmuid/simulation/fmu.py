@@ -31,7 +31,7 @@ from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription,
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask, PreparedTasks, check_steps
 from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import EndedError, Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -153,6 +153,11 @@ class Fmu:
         return self._described.saves_state
 
     @property
+    def needed_tool(self) -> str | None:
+        """The tool that must be installed to simulate the FMU (needsExecutionTool), None if it needs none."""
+        return self.tool if self._described.needs_tool else None
+
+    @property
     def states(self) -> tuple[str, ...]:
         """The continuous states, as the FMU names them; arrays of FMI 3.0 element by element."""
         derived = dict.fromkeys(self._description.states)
@@ -186,8 +191,10 @@ class Fmu:
         ------
         FmuError
             A name is unknown or cannot be set or read; the FMU cannot be instantiated.
+        EndedError
+            The FMU ended the simulation; the error has the predictions up to then.
         SimulationError
-            The FMU failed, ended the simulation, or an output is not finite.
+            The FMU failed, or an output is not finite.
         """
         with self._lock:
             prepared = self.prepare(task, parameters)
@@ -383,6 +390,10 @@ class Fmu:
             failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
             fatal = failed is not None and plan.status == _FATAL
             error = self.failure(Outcome(outcome), prepared)
+            if outcome == Outcome.TERMINATED and plan.reached >= 0:
+                known = predictions[:, : plan.reached + 1].copy()
+                fix = "compare it with runs that end by then (fmuid import --cut)"
+                error = EndedError(error.what, where=error.where, fix=fix, predictions=known)
         finally:
             if not fatal:
                 self._branches.end(key, prepared, predictions if finished else None)

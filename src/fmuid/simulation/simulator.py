@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 from fmuid.core.campaign import Interpolation
+from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 
 
@@ -108,6 +110,19 @@ class Task:
         object.__setattr__(self, "along", tuple(frozen_mapping(d) for d in self.along))
 
 
+class EndedError(SimulationError):
+    """The model ended its simulation before the last time; `predictions` (outputs, n) are those up to then."""
+
+    def __init__(
+        self, what: str, *, where: object = None, fix: str | None = None, predictions: FloatArray
+    ) -> None:
+        self.predictions = predictions
+        super().__init__(what, where=where, fix=fix)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return partial(type(self), where=self.where, fix=self.fix, predictions=self.predictions), (self.what,)
+
+
 @runtime_checkable
 class Simulator(Protocol):
     """A model that can be simulated: an FMU, a reference model or an analytic one.
@@ -153,3 +168,9 @@ def interpolates(simulator: Simulator) -> bool:
 def takes_any_times(simulator: Simulator) -> bool:
     """Return whether additional communication points only affect the accuracy of predictions."""
     return not getattr(simulator, "even_steps", False)
+
+
+def needed_tool(simulator: Simulator) -> str | None:
+    """Return the tool that must be installed to simulate a model, None if it needs none."""
+    tool = getattr(simulator, "needed_tool", None)
+    return None if tool is None else str(tool)
