@@ -39,8 +39,10 @@ from fmuid.diagnosis.verdict import Verdict
 from fmuid.effects.effect import Effect, Port
 
 KINDS = ("none", "one", "shape", "two", "unknown")
-SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)
+SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)  # of the kinds: as many plants without an effect as with one
 GAPS = (0.5, 1.0, 3.0, 10.0)  # gaps of the plants, in noise floors
+_APPROACHES = 3  # simulations to reach a gap that was drawn, which need not be met exactly
+_FACTORS = (0.02, 50.0)  # by which one of them changes a size: laws are not linear
 _DRAWS = 10  # attempts to draw a plant of a kind that can be simulated
 _MISMATCH = 0.15  # share of an effect's gap that the wrong shape of its law leaves
 _SPREAD = (1.5, 0.5)  # prior standard deviations of a curve's offset from 0 and of its slope from 1
@@ -237,12 +239,12 @@ class _Maker:
     def _sized(self, effect: Effect, size: float) -> dict[str, float]:
         """Return the values at which the effect leaves a gap of `size`, as far as its bounds allow."""
         trial, factor = effect.trials[int(self.rng.integers(len(effect.trials)))], 1.0
-        for _ in range(3):
+        for _ in range(_APPROACHES):
             values = effect.scaled(trial, factor)
             (prediction,) = self.subject.model.predict([{**self.fit.values, **values}])
             if isinstance(prediction, SimulationError):
                 return effect.scaled(trial, 0.1)
-            factor *= float(np.clip(size / max(self._gap(prediction), 1e-6), 0.02, 50.0))
+            factor *= float(np.clip(size / max(self._gap(prediction), 1e-6), *_FACTORS))
         return effect.scaled(trial, factor)
 
     def _function(self, size: float) -> dict[str, list[FloatArray]]:
@@ -255,12 +257,12 @@ class _Maker:
         runs = range(len(self.subject.model.cases))
         shape = [sum(w * b[e] for w, b in zip(weights, family, strict=True)) * port.magnitude for e in runs]
         factor = 1.0
-        for _ in range(3):
+        for _ in range(_APPROACHES):
             drive = {str(port.input): [np.asarray(factor * f) for f in shape]}
             (prediction,) = self.subject.model.predict_driven(self.fit.values, [drive])
             if isinstance(prediction, SimulationError):
                 break
-            factor *= float(np.clip(size / max(self._gap(prediction), 1e-6), 0.02, 50.0))
+            factor *= float(np.clip(size / max(self._gap(prediction), 1e-6), *_FACTORS))
         return {str(port.input): [np.asarray(factor * f) for f in shape]}
 
     def _measured(self, prediction: Prediction) -> Subject:

@@ -20,6 +20,7 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
 from fmuid.effects.effect import Effect
 
+_SIZE = (0.03, 3.0)  # of a first guess, in trials: a response is linear only so far
 _ESCAPES = 2  # from local minima of one refit
 _TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place
 
@@ -170,7 +171,7 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     by_id = subject.by_id
     effect = by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
-    factor = float(np.clip(score.scale, -3.0 if effect.two_sided else 0.03, 3.0))
+    factor = float(np.clip(score.scale, -_SIZE[1] if effect.two_sided else _SIZE[0], _SIZE[1]))
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in score.trials)]
     unbent = {**fitted.fit.values, **subject.starts}
     basis = nominal_basis(fitted.fit, subject.observed)

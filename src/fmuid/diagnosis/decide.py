@@ -17,7 +17,7 @@ from fmuid.diagnosis.verdict import NONE, UNKNOWN, Closure, Kind
 from fmuid.effects.effect import Effect, Unknown
 
 # Calibrated on the virtual rig (`make blind`), never on data whose answer is to be found.
-SIGNIFICANCE = 0.01
+SIGNIFICANCE = 0.01  # one false alarm in a hundred
 SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % quantile under noise alone
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
@@ -31,6 +31,10 @@ OPEN = 20.0  # odds against an answer beyond which it is not left open: strong e
 _EQUAL = 0.25  # standard deviations between answers: if one is true, odds stay below 2 in 99 of 100 recordings
 _IDENTICAL = 1e-3  # of what effects do to the predictions: less than any coupling but a rigid one leaves
 _INTERVAL = 1.645  # standard errors: the 90 % interval of what is gained excludes zero
+_NEVER = 1e-3  # weight of what a verdict rules out: no probability is zero
+_HIDDEN = 0.15  # weight of an effect whose gap would just matter, where no gap was seen
+_UNKNOWN = 0.95  # weight of the verdict *unknown*; the rest goes to what comes closest
+_DOUBT = 0.02  # least weight of something unknown in addition to what was named
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
 
 
@@ -287,15 +291,15 @@ def weigh(
     closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
         case "complete":
-            none, unknown, named = 1.0, 1e-3, 0.15 * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
+            none, unknown, named = 1.0, _NEVER, _HIDDEN * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
         case "insufficient":
             possible = nominal.gap if seen else max(1.0, nominal.gap)
             none, unknown, named = 1.0, possible / 2, possible / 6 / max(1, len(surviving))
         case "unknown":
-            none, unknown, named = 1e-3, 0.95, 0.05
+            none, unknown, named = _NEVER, _UNKNOWN, 1.0 - _UNKNOWN
         case _:
             doubt = 1.0 - closed if provisional else _doubt(closed)
-            none, unknown, named = 1e-3, max(0.02, doubt), max(1e-3, closed)
+            none, unknown, named = _NEVER, max(_DOUBT, doubt), max(_NEVER, closed)
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
     odds = [log_odds(s, surviving[0], observed) for s in surviving]  # the first one need not be the likeliest

@@ -24,8 +24,7 @@ from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.effects.effect import Port
 
-# Of a course in each experiment; the finer ones, a third as far apart, if the coarser ones leave too much.
-_KNOTS = (24, 70)
+_KNOTS = (24, 70)  # of a course in each experiment; the finer ones if the coarser ones leave too much
 _ENOUGH = 0.75  # share of the excess energy that a course has to explain for its port to be judged by it
 _ALL = 0.95  # of that energy: a single place accounts for nearly all
 _LENGTHS = (0.0, 1.0, 3.0)  # knots over which a course may be smooth

@@ -31,6 +31,8 @@ from fmuid.simulation.simulator import Simulator, Task, differentiates, interpol
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array per experiment."""
 
+_HELD = 0.03  # share of the range by which a held course has to change: the integral of the input stays the same
+_LINED = 0.1  # of one between lines, which follow it more closely
 _WIDTH = 1e-4  # relative width of differences around a simulation, for ties and sensors
 Direction = tuple[dict[str, float], float]
 """How a model's variables move with one parameter: their proportions, and the size of the move."""
@@ -411,7 +413,7 @@ def _held(values: FloatArray) -> FloatArray:
     An FMU stops where an input changes. The integral of the input stays the same, so a slow response hardly
     changes.
     """
-    begins = [0, *_changes(values, 0.03)]
+    begins = [0, *_changes(values, _HELD)]
     length = np.diff([*begins, len(values)])
     return np.repeat(np.add.reduceat(values, begins) / length, length)
 
@@ -420,7 +422,7 @@ def _lined(values: FloatArray, time: FloatArray) -> FloatArray:
     """Replace values by lines between turning points and where they have changed by a tenth of the range."""
     steps = np.diff(values)
     turns = np.flatnonzero(steps[:-1] * steps[1:] < 0.0) + 1
-    changes = np.array(_changes(values, 0.1), dtype=np.intp)
+    changes = np.array(_changes(values, _LINED), dtype=np.intp)
     leaves = changes[values[changes - 1] == 0.0] - 1  # zeros stay zeros
     knots = np.unique(np.concatenate([[0], turns, leaves, changes, [len(values) - 1]]))
     return np.asarray(np.interp(time, time[knots], values[knots]))

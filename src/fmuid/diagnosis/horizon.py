@@ -19,7 +19,7 @@ from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case
 
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
-_EARLY = _SHARES[1]
+_EARLY = _SHARES[1]  # of a run, over which effects are first compared
 _SHORTEST = 64  # samples in a beginning: a spectrum needs as many
 _ITERATIONS = 6  # for each horizon: the next one continues
 _KEPT = 3  # starts that go on to the next horizon

@@ -11,7 +11,8 @@ from fmuid.core.immutable import FloatArray, read_only
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.verdict import Share
 
-_BINS = 6
+_BINS = 6  # of a variable: enough to see where a gap lies, each with many samples
+_SHOWN = 0.01  # share of the gap that is worth a row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class ExcessMap:
         found = []
         for row in np.argsort(-self.energy)[:limit]:
             share = float(self.energy[row]) / total
-            if share < 0.01:
+            if share < _SHOWN:
                 break
             experiment, signal = self.rows[row]
             found.append(Share(experiment, signal, share, self._regime(int(row))))

@@ -30,7 +30,7 @@ from fmuid.effects.effect import Sensor, Unknown
 from fmuid.identification.problem.cases import Case, Channel
 from fmuid.simulation.simulator import default_tolerance
 
-_SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)
+_SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)  # factors on recorded inputs: a rig that has run them can run these
 _NINE_OF_TEN = 1.2816  # standard deviations: one-sided 90 %
 _PRECISELY, _USUAL = 1e-2, 1e-4  # shares of a diagnosis' solver tolerance: nearly equal models are compared
 _UNBOUNDED = 10.0  # standard deviation, in values, of an unbounded parameter that no run determines

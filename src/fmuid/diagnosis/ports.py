@@ -22,6 +22,8 @@ from fmuid.diagnosis.refit import Refit
 from fmuid.effects.effect import Port, Unknown
 
 OWN_PAST = "its own past"
+_FASTEST, _SLOWEST = 3.0, 1 / 3  # samples, and share of the longest run: time constants that data can show
+_FREE = 30.0  # magnitudes: prior of a coefficient, so that one which no signal shows stays near zero
 _PASTS = 6  # number of time constants of a memory, from a few samples to part of the longest run
 Basis = tuple[tuple[FloatArray, ...], ...]
 """Basis functions, each with (N,) samples for every experiment."""
@@ -89,8 +91,8 @@ def pasts(values: Sequence[FloatArray], time: Sequence[FloatArray]) -> Basis:
     Time constants are spaced evenly on a logarithmic scale from three samples to a third of the longest run.
     """
     size = max(max(float(np.abs(v).max()) for v in values), 1e-300)
-    shortest = 3.0 * min(float(np.mean(np.diff(t))) for t in time)
-    longest = max(float(t[-1] - t[0]) for t in time) / 3.0
+    shortest = _FASTEST * min(float(np.mean(np.diff(t))) for t in time)
+    longest = max(float(t[-1] - t[0]) for t in time) * _SLOWEST
     found = []
     for seconds in np.geomspace(shortest, max(longest, 2.0 * shortest), _PASTS):
         keeps = [float(np.exp(-np.mean(np.diff(t)) / seconds)) for t in time]
@@ -199,8 +201,7 @@ def _fit(response: Response, base: Refit, observed: Observed) -> Decoy:
     steps = np.array([u.step for u in unknowns])
     a = np.concatenate([w * j for w, j in zip(weight, jacobian, strict=True)]) * steps
     r = np.concatenate([w * x for w, x in zip(weight, base.residuals, strict=True)])
-    # A coefficient that no signal shows stays near zero: its prior standard deviation is thirty magnitudes.
-    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(count, 1.0 / 30.0)])
+    prior = np.concatenate([np.full(len(base.unknowns), 1e-3), np.full(count, 1.0 / _FREE)])
     solution = np.linalg.solve(a.T @ a + np.diag(prior**2), -(a.T @ r))
     residuals = tuple(x + j @ (steps * solution) for x, j in zip(base.residuals, jacobian, strict=True))
     values = {

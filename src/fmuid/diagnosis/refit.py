@@ -28,6 +28,10 @@ _End = tuple[float, FloatArray, bool]
 
 _WORTH = 4  # exact columns cost three runs plus a third of a run each, differences one run each
 _ENOUGH = 0.5  # fall of the cost, in squared standard deviations, that justifies another iteration
+_ABOUT = (
+    1.05,
+    20.0,
+)  # times the cost, plus squared standard deviations: then another model fits about equally well
 _COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
@@ -161,7 +165,7 @@ def descend(
 
 def about(cost: float) -> float:
     """Return the cost up to which another model fits about equally well."""
-    return 1.05 * cost + 20.0
+    return _ABOUT[0] * cost + _ABOUT[1]
 
 
 def _search(

@@ -11,6 +11,8 @@ from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.ports import Basis, harmonics, hats, pasts, quantile_knots, times
 from fmuid.effects.effect import Regime
 
+_REVERSAL = 1e-2  # share of the largest speed within which friction reverses: its sign is smooth for a linear step
+
 
 def trajectories(
     model: CampaignModel, values: Mapping[str, float], regimes: Mapping[str, Regime]
@@ -48,7 +50,7 @@ def bases(
     since = [t - t[0] for t in time]
     over_time = hats(since, np.linspace(0.0, max(float(t[-1]) for t in since), 5))
     speed = next((paths[r.name] for r in regimes.values() if r.kind == "speed"), None)
-    direction = None if speed is None else [np.tanh(w / (1e-2 * max(np.abs(w).max(), 1e-9))) for w in speed]
+    direction = None if speed is None else [np.tanh(w / (_REVERSAL * max(np.abs(w).max(), 1e-9))) for w in speed]
     found: dict[str, Basis] = {}
     for regime in regimes.values():
         path = paths[regime.name]

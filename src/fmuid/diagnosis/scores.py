@@ -24,6 +24,7 @@ _NEARLY = 0.98  # correlation of signatures above which effects are compared aga
 _COMPARED = 3  # number of the most similar ones compared
 SEEN = 5.0  # standard deviations: smaller effects would not be named
 _OVERSHOOT = 2.0  # response over the residual from which a trial is scaled down: laws and plants are not linear
+_PRIOR = 4.0  # runs that the noise floor counts for where scatter from run to run is estimated
 _SCALED = 4  # times
 
 
@@ -200,9 +201,8 @@ def _per_run(signature: FloatArray, amount: float, observed: Observed) -> float:
         total += float(each @ each)
         dof += run.n_repeats - 1
         # Each run's projection has variance |part|^2 under the floor; they sum to (R - 1) over the experiments.
-    prior = 4.0
     n = len(observed.runs)
-    variance = (total * n / max(dof, 1.0) * dof / n + prior) / (dof / n + prior) if dof else 1.0
+    variance = (total * n / max(dof, 1.0) * dof / n + _PRIOR) / (dof / n + _PRIOR) if dof else 1.0
     return amount / float(np.sqrt(max(variance, 1e-12)))
 
 

@@ -31,6 +31,8 @@ from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
 from fmuid.simulation.simulator import Simulator, default_tolerance
 
+_STEP = 0.02  # of a nominal parameter relative to its start value: large compared with the noise of solvers
+_OF_WIDTH = 1e-3  # of one that starts at zero, relative to its range
 _LOOSEST = (3e-3, 1e-3, 1e-4)  # initial solver tolerances
 _SLICE = re.compile(r"^(?P<name>.*)\[(?P<index>[\d:,\s]+)\]$")
 
@@ -370,5 +372,5 @@ def _of_sensors(case: Case) -> set[str]:
 def unknown_of(p: ParameterSpec) -> Unknown:
     """Convert a parameter of the campaign to an unknown."""
     width = p.upper - p.lower
-    step = 0.02 * abs(p.start) if p.start != 0.0 else (1e-3 * width if np.isfinite(width) else 1e-3)
+    step = _STEP * abs(p.start) if p.start != 0.0 else _OF_WIDTH * (width if np.isfinite(width) else 1.0)
     return Unknown(p.name, p.start, p.lower, p.upper, step)

@@ -10,7 +10,7 @@ from typing import Any
 from fmuid.core.formatting import Fact, interval_text, range_text
 from fmuid.diagnosis.decide import CLOSURE_THAT_NAMES, SIGNIFICANCE
 
-_ROWS = 6
+_ROWS = 6  # of a table in the terminal
 
 
 def summary(diagnosis: Mapping[str, Any]) -> list[str]:

@@ -20,11 +20,11 @@ from fmuid.data.filtering import first_order
 Kind = Literal["position", "angle", "speed", "flow", "value"]
 HIDDEN = "hidden"  # the name of a term's own state in its text
 _WIDTHS = (0.1, 0.2, 0.4)  # shares of the largest value of a quantity
-_LIMITS = (0.2, 0.35, 0.5, 0.65, 0.8)
+_LIMITS = (0.2, 0.35, 0.5, 0.65, 0.8)  # thresholds, as shares of it; a refit moves them
 _DIRECTION = 0.01  # share of the largest speed within which friction reverses
 _WAVES = np.arange(1.0, 12.5, 0.5)  # number of waves over the range of a position
 _TURNS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)  # waves per turn
-_LAGS = 5
+_LAGS = 5  # time constants of a term with a state, evenly spaced on a logarithmic scale; a refit moves them
 _PLAIN, _SHAPED, _TWO, _STATE = 1, 2, 3, 4  # ranks
 
 
