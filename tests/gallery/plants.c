@@ -1,4 +1,5 @@
-/* Four models as FMUs for model exchange, FMI 2.0 or 3.0 (-DFMI=2|3), written by hand: a drive, a house, a circuit and two tanks.
+/* Five models as FMUs for model exchange, FMI 2.0 or 3.0 (-DFMI=2|3), written by hand: a drive, a house, a circuit, two tanks,
+ * and a rod, whose states, and their derivatives, are one array (FMI 3.0).
  * Value references are places in `r`: inputs and parameters as plants.py lists them, then states, then their derivatives. */
 #include <math.h>
 #include <stdbool.h>
@@ -18,11 +19,22 @@ static const double START[KNOWN + STATES] = {0, 0, 2e5, 80, 3e6, 40, 293, 290};
 #elif defined CIRCUIT /* source; L, R, C, load; current, voltage */
 enum { KNOWN = 5, STATES = 2 };
 static const double START[KNOWN + STATES] = {0, 1e-2, 2, 1e-3, 20, 0, 0};
+#elif defined ROD /* heating; capacity of a part, between parts, to the surroundings and their temperature; temperatures */
+enum { KNOWN = 5, STATES = 3 };
+#define ARRAYS 1
+static const double START[KNOWN + STATES] = {0, 60, 0.8, 0.3, 293, 293, 293, 293};
 #else /* inflow; areas and outlets of two tanks; levels */
 enum { KNOWN = 5, STATES = 2 };
 static const double START[KNOWN + STATES] = {0, 0.02, 0.015, 1.2e-3, 1e-3, 0.3, 0.25};
 #endif
 enum { N = KNOWN + 2 * STATES };
+#ifdef ARRAYS
+#define FIRST(vr) ((vr) <= KNOWN ? (vr) : KNOWN + STATES)
+#define SIZE(vr) ((vr) < KNOWN ? 1 : STATES)
+#else
+#define FIRST(vr) (vr)
+#define SIZE(vr) 1
+#endif
 typedef struct { double r[N]; } Model;
 
 static void evaluate(Model *m)
@@ -36,6 +48,9 @@ static void evaluate(Model *m)
     DX(0) = (k[0] - inside) / k[2], DX(1) = (inside - k[5] * (X(1) - k[1])) / k[4];
 #elif defined CIRCUIT
     DX(0) = (k[0] - k[2] * X(0) - X(1)) / k[1], DX(1) = (X(0) - X(1) / k[4]) / k[3];
+#elif defined ROD
+    double left = k[2] * (X(0) - X(1)), right = k[2] * (X(1) - X(2));
+    DX(0) = (k[0] - left) / k[1], DX(1) = (left - right) / k[1], DX(2) = (right - k[3] * (X(2) - k[4])) / k[1];
 #else
     double between = k[3] * sqrt(fmax(X(0), 0));
     DX(0) = (k[0] - between) / k[1], DX(1) = (between - k[4] * sqrt(fmax(X(1), 0))) / k[2];
@@ -94,12 +109,12 @@ int NAME(GetEventIndicators)(void *c, double x[], size_t n) { return 0; }
 static int get(Model *m, const unsigned vr[], size_t n, double x[])
 {
     evaluate(m);
-    for (size_t i = 0; i < n; i++) x[i] = m->r[vr[i]];
+    for (size_t i = 0; i < n; x += SIZE(vr[i]), i++) memcpy(x, m->r + FIRST(vr[i]), SIZE(vr[i]) * sizeof *x);
     return 0;
 }
 static int set(Model *m, const unsigned vr[], size_t n, const double x[])
 {
-    for (size_t i = 0; i < n; i++) m->r[vr[i]] = x[i];
+    for (size_t i = 0; i < n; x += SIZE(vr[i]), i++) memcpy(m->r + FIRST(vr[i]), x, SIZE(vr[i]) * sizeof *x);
     return 0;
 }
 #if FMI == 2

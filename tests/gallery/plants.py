@@ -55,6 +55,11 @@ def _tank(x, u, p):
     return np.array([(u[0] - between) / p[0], (between - p[3] * np.sqrt(max(x[1], 0.0))) / p[1]])
 
 
+def _rod(x, u, p):
+    left, right = p[1] * (x[0] - x[1]), p[1] * (x[1] - x[2])
+    return np.array([u[0] - left, left - right, right - p[2] * (x[2] - p[3])]) / p[0]
+
+
 def _steps(t, k, every):
     """A random staircase between -1 and 1."""
     return np.random.default_rng(k).uniform(-1, 1, 1 + int(t[-1] / every))[(t / every).astype(int)]
@@ -79,6 +84,11 @@ PLANTS = {
         {"q": "m3/s"}, {"A1": "m2", "A2": "m2", "k1": "m2.5/s", "k2": "m2.5/s"}, {"h1": "m", "h2": "m"}, (0.02, 0.015, 1.2e-3, 1e-3), (0.3, 0.25),
         (0.021, 0.0145, 1.25e-3, 1.05e-3), _tank, 600.0, lambda t, k: np.array([6e-4 + 3e-4 * _steps(t, k, 40.0)]), (5e-4, 5e-4), (0, 1),
     ),
+    "ROD": Plant(
+        {"P_heat": "W"}, {"C": "J/K", "G": "W/K", "G_out": "W/K", "T_out": "K"}, {"T[1]": "K", "T[2]": "K", "T[3]": "K"},
+        (60.0, 0.8, 0.3, 293.0), (293.0, 293.0, 293.0), (62.0, 0.75, 0.31, 293.0), _rod, 2000.0,
+        lambda t, k: np.array([20 + 15 * _steps(t, k, 100.0)]), (0.02, 0.02, 0.02), (0, 1, 2),
+    ),
 }  # fmt: skip
 
 
@@ -100,23 +110,28 @@ def _description(name: str, plant: Plant, fmi: int) -> str:
     known = [(n, u, "input", "continuous") for n, u in plant.inputs.items()]
     known += [(n, u, "parameter", "fixed") for n, u in plant.parameters.items()]
     starts = [*([0.0] * len(plant.inputs)), *plant.nominal, *plant.start]
-    rows = [(*row, starts[i], None) for i, row in enumerate(known)]
-    rows += [
-        (n, u, "output", "continuous", starts[len(known) + i], None)
-        for i, (n, u) in enumerate(plant.states.items())
-    ]
-    first = len(known)
-    rows += [(f"der({n})", "", "local", "continuous", None, first + i) for i, n in enumerate(plant.states)]
+    rows = [(*row, repr(starts[i]), None) for i, row in enumerate(known)]
+    first, arrays = len(known), dict[str, str]()
+    for (n, u), start in zip(plant.states.items(), starts[first:], strict=True):
+        whole = n.partition("[")[0]  # the states of an array have one unit
+        if whole not in arrays:
+            rows.append((whole, u, "output", "continuous", "", None))
+        arrays[whole] = f"{arrays[whole]} {start!r}" if whole in arrays else repr(start)
+    rows = [(*row[:4], arrays.get(row[0], row[4]), None) for row in rows]
+    rows += [(f"der({n})", "", "local", "continuous", None, first + i) for i, n in enumerate(arrays)]
+    size = {n: f'<Dimension start="{len(a.split())}"/>' if " " in a else "" for n, a in arrays.items()}
     variables = []
     for i, (n, unit, causality, variability, start, of) in enumerate(rows):
-        inner = (f' unit="{unit}"' if unit else "") + ("" if start is None else f' start="{start!r}"')
+        inner = (f' unit="{unit}"' if unit else "") + ("" if start is None else f' start="{start}"')
         inner += "" if of is None else f' derivative="{of + 1 if fmi == 2 else of}"'
         head = f'name="{n}" valueReference="{i}" causality="{causality}" variability="{variability}"'
         head += ' initial="exact"' if causality == "output" else ""
         variables.append(
-            f"<ScalarVariable {head}><Real{inner}/></ScalarVariable>" if fmi == 2 else f"<Float64 {head}{inner}/>"
+            f"<ScalarVariable {head}><Real{inner}/></ScalarVariable>"
+            if fmi == 2
+            else f"<Float64 {head}{inner}>{size.get(n.removeprefix('der(').rstrip(')'), '')}</Float64>"
         )
-    states, slopes = range(first, first + len(plant.states)), range(first + len(plant.states), len(rows))
+    states, slopes = range(first, first + len(arrays)), range(first + len(arrays), len(rows))
     units = "".join(f'<Unit name="{u}"/>' for u in dict.fromkeys(row[1] for row in rows) if u)
     if fmi == 2:
         head = f'fmiVersion="2.0" guid="{name}" numberOfEventIndicators="0"'

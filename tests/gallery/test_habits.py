@@ -85,3 +85,40 @@ def test_a_tool_that_an_fmu_needs_is_reported(tmp_path, capfd):
     assert message in capfd.readouterr().out
     assert run(["check", str(tmp_path / "campaign"), "--no-simulate"]) == 0
     assert message in capfd.readouterr().out
+
+
+def test_states_and_outputs_may_be_arrays(tmp_path):
+    """A rod of three parts with one array of temperatures, whose last part radiates, which its model lacks."""
+    fmu = plant_fmu("ROD", tmp_path, 3)
+
+    def lacking(x: np.ndarray) -> np.ndarray:
+        return np.array([0, 0, -4e-11 * (x[2] ** 4 - 293.0**4)])
+
+    logs = write_logs("ROD", lacking, tmp_path / "logs", runs=3, samples=150)
+    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
+    assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"]["effects"][0].endswith("@der(T[3])")
+
+
+def test_runs_may_begin_at_any_time(tmp_path):
+    """A run and a suggested experiment that begin at 5000 s, with a law that depends on time."""
+    fmu = plant_fmu("TANK", tmp_path)
+    late = edited(
+        fmu, '<DefaultExperiment stopTime="600.0"/>', '<DefaultExperiment startTime="5000.0" stopTime="5600"/>'
+    )
+    whole, _ = simulated(fmu, "--step", "1")
+    found, _ = simulated(late, "--step", "1")
+    assert found.time[[0, -1]].tolist() == [5000.0, 5600.0]
+    assert found.columns["h2"] == pytest.approx(whole.columns["h2"], rel=1e-5)
+    tables = {}
+    for shift in (0.0, 5000.0):
+        logs = write_logs("TANK", lambda x: np.array([0, -6e-3 * x[1]]), tmp_path / f"logs{shift:g}", samples=150)
+        for log in logs:
+            table = read_csv(log)
+            write_csv(Table(table.time + shift, table.columns, table.units), log)
+        folder = tmp_path / f"campaign{shift:g}"
+        assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(folder), "--quiet"]) == 0
+        assert run(["diagnose", str(folder), "--out", str(folder / "out"), "--quiet"]) == 0
+        tables[shift] = json.loads((folder / "out" / "diagnosis.json").read_text())
+    assert tables[0.0]["verdict"]["effects"] == tables[5000.0]["verdict"]["effects"] == ["leakage@der(h2)"]

@@ -63,8 +63,7 @@ def model_exchange(model: ModelSpec) -> Fmu | None:
 
 def observed_states(fmu: Fmu) -> list[str]:
     """Return the variables to simulate for the sizes of places: states and their derivatives."""
-    names = [*fmu.description.states, *fmu.description.derivatives]
-    return [name for name in dict.fromkeys(names) if name in fmu.variables]
+    return list(dict.fromkeys([*fmu.derivatives, *fmu.derivatives.values()]))
 
 
 def state_places(
@@ -79,8 +78,7 @@ def state_places(
     times, courses
         Times of nominal simulations, and the `observed_states` there.
     """
-    pairs = zip(fmu.description.states, fmu.description.derivatives, strict=True)
-    derivatives = {s: d for s, d in pairs if s in fmu.variables and d in fmu.variables}
+    derivatives = fmu.derivatives
     positions = _positions(derivatives, courses)
     places, reasons = [], {}
     for state, derivative in derivatives.items():

@@ -30,7 +30,14 @@ from fmuid.simulation.branches import Branches
 from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription, library_name, read_description
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
 from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE, PreparedTask, PreparedTasks, check_steps
-from fmuid.simulation.fmu_variables import MAX_VARIABLES, Slot, in_words, read_feedthrough, read_variables
+from fmuid.simulation.fmu_variables import (
+    MAX_VARIABLES,
+    Slot,
+    elements_of,
+    in_words,
+    read_feedthrough,
+    read_variables,
+)
 from fmuid.simulation.simulator import EndedError, Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
 
@@ -160,8 +167,14 @@ class Fmu:
     @property
     def states(self) -> tuple[str, ...]:
         """The continuous states, as the FMU names them; arrays of FMI 3.0 element by element."""
-        derived = dict.fromkeys(self._description.states)
-        return tuple(n for s in derived for n in self._variables if n == s or n.startswith(f"{s}["))
+        return tuple(self.derivatives)
+
+    @property
+    def derivatives(self) -> Mapping[str, str]:
+        """The variable that is the derivative of each state; arrays of FMI 3.0 element by element."""
+        elements = {v.name: elements_of(v) for v in self._description.variables}
+        pairs = zip(self._description.states, self._description.derivatives, strict=True)
+        return {s: d for pair in pairs for s, d in zip(*(elements[n] for n in pair), strict=True)}
 
     @property
     def feedthrough(self) -> Mapping[str, frozenset[str]]:

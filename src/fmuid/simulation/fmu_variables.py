@@ -104,6 +104,11 @@ def _elements(shape: tuple[int, ...]) -> Iterator[str]:
         yield f"[{','.join(map(str, index))}]" if index else ""
 
 
+def elements_of(variable: DescribedVariable) -> list[str]:
+    """Return the names of a variable's elements; of a scalar, its name."""
+    return [f"{variable.name}{subscript}" for subscript in _elements(variable.shape)]
+
+
 def read_variables(
     description: FmuDescription, version: int, where: Path
 ) -> tuple[dict[str, Variable], dict[str, Slot]]:
@@ -161,9 +166,7 @@ def read_variables(
 
 def read_feedthrough(description: FmuDescription, variables: Mapping[str, Variable]) -> dict[str, frozenset[str]]:
     """Return the inputs on which each output depends without delay, by element; all if not stated."""
-    elements = {
-        v.name: [f"{v.name}{subscript}" for subscript in _elements(v.shape)] for v in description.variables
-    }
+    elements = {v.name: elements_of(v) for v in description.variables}
     inputs = frozenset(n for n, v in variables.items() if v.causality == "input")
     found = {n: inputs for n, v in variables.items() if v.causality == "output"}
     for output, dependencies in description.outputs.items():
