@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -24,6 +25,10 @@ def crash(path: Path) -> None:
     os.abort()
 
 
+def die(path: Path) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def refuse(path: Path) -> None:
     raise MeasurementsError("is odd", where=path, fix="even it")
 
@@ -36,7 +41,7 @@ def whose(path: Path) -> int:
 def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     """The reading process finds the functions above by this module's name."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    for function in (hang, crash, refuse, whose, raises_from_a_library):
+    for function in (hang, crash, die, refuse, whose, raises_from_a_library):
         monkeypatch.setattr(function, "__module__", "test_apart")
     monkeypatch.setitem(__import__("sys").modules, "test_apart", __import__("sys").modules[__name__])
     isolated_reader._end()  # one that knows the path
@@ -50,6 +55,9 @@ def test_a_file_that_hangs_or_crashes_is_one_line(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(MeasurementsError) as error:
         read_isolated(crash, Path("m.h5"))
     assert str(error.value) == "m.h5: crashes the library that reads it; write it again: it may be damaged"
+    with pytest.raises(MeasurementsError) as error:
+        read_isolated(die, Path("m.h5"))
+    assert str(error.value) == "m.h5: the process that reads it was killed (SIGKILL); free memory, then try again"
     with pytest.raises(MeasurementsError) as error:
         read_isolated(refuse, Path("m.h5"))
     assert str(error.value) == "m.h5: is odd; even it"

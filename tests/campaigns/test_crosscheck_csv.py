@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -91,3 +92,19 @@ def test_a_missing_sample_is_no_reason_to_lose_the_column(tmp_path: Path) -> Non
     (tmp_path / "a.csv").write_text("time,x,y\n0,1,2\n,5,3\n")
     with pytest.raises(MeasurementsError, match=r"time is missing in sample 1; write every time, in s$"):
         read_csv(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("content", ['time,u\n0,"{}"\n1,2\n', "time,{}\n0,1\n", "time,u\n0,1\n1,{}"])
+def test_an_endless_field_is_refused_before_it_takes_memory(tmp_path, content):
+    file = tmp_path / "long.csv"
+    file.write_text(content.format("9" * 20_000_000))
+    with pytest.raises(
+        MeasurementsError, match=r"long.csv line \d: is longer than 1 MB; write one row for each time"
+    ):
+        read_csv(file)
+    tracemalloc.start()
+    with pytest.raises(MeasurementsError):
+        read_csv(file)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * 20_000_000

@@ -67,3 +67,10 @@ def test_slopes_are_those_of_differences(text):
 def test_a_slope_that_does_not_exist_is_said_in_one_line():
     with pytest.raises(ProblemError, match=r"'sqrt\(a\)' has no derivative"):
         parse("sqrt(a)").slope({"a": 0.0}, {"a": 1.0})
+
+
+def test_a_long_formula_is_shortened_in_messages():
+    with pytest.raises(ProblemError) as error:
+        parse("1 +" * 20_000)
+    assert "...' (60000 characters) is not an arithmetic expression" in str(error.value)
+    assert len(str(error.value)) < 400

@@ -13,6 +13,7 @@ import pytest
 from fmus import FAULTS
 
 from fmuid.core.errors import FmuError, SimulationError
+from fmuid.simulation import fmu as fmu_module
 from fmuid.simulation import fmu_plan
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.simulator import Simulator, Task
@@ -252,6 +253,17 @@ def test_extracted_files_are_removed(build, tmp_path, monkeypatch):
     del fmu
     gc.collect()
     assert not list(tmp_path.glob("*/*"))
+
+
+def test_an_archive_of_very_many_files_is_refused(build, tmp_path, monkeypatch):
+    monkeypatch.setattr(fmu_module, "MAX_FILES", 3)
+    path = tmp_path / "many.fmu"
+    shutil.copy(build(2), path)
+    Fmu(path)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/empty", "")
+    with pytest.raises(FmuError, match="contains more than 3 files"):
+        Fmu(path)
 
 
 @pytest.mark.parametrize(

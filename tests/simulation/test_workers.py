@@ -21,6 +21,7 @@ from fmus import FAULTS
 from fmuid.core.errors import FmuError, FmuidError, SimulationError
 from fmuid.core.scratch import Scratch
 from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.pool import worker_process
 from fmuid.simulation.pool.remote import on_executor
 from fmuid.simulation.pool.workers import WorkerPool
 from fmuid.simulation.runners import in_process
@@ -295,6 +296,32 @@ def test_what_the_machine_lacks_for_a_worker_is_not_blamed_on_the_script(monkeyp
         monkeypatch.setattr(pool._supervisor._context.Process, "start", full)
         with pytest.raises(FmuidError, match=r"Too many open files\); free open files, processes or memory"):
             pool.submit(pow, 2, 3).result()
+
+
+def test_a_killed_helper_process_is_replaced_or_reported_as_killed(monkeypatch):
+    with WorkerPool(1) as pool:
+        start, tries = pool._supervisor._context.Process.start, []
+
+        def once_without_the_process_that_forks(process):
+            tries.append(process)
+            if len(tries) == 1:
+                raise EOFError
+            start(process)
+
+        monkeypatch.setattr(pool._supervisor._context.Process, "start", once_without_the_process_that_forks)
+        assert pool.submit(pow, 2, 3).result() == 8
+        with pytest.raises(SimulationError, match=r"was killed \(SIGKILL\)"):
+            pool.submit(killed).result()
+    with WorkerPool(1) as pool:
+        monkeypatch.setattr(worker_process, "main", killed)
+        with pytest.raises(
+            FmuidError, match=r"starting workers end \(SIGKILL\); free open files, processes or memory"
+        ):
+            pool.submit(pow, 2, 3).result()
+
+
+def killed(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_script_without_a_guard_is_told_so(tmp_path):

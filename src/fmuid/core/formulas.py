@@ -46,6 +46,7 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {
     "tanh": math.tanh,
 }
 _REMEMBERED = 10_000  # number of formulas: a library of terms is evaluated many times
+_SHOWN = 100  # characters of a formula in a message
 _OTHERWISE = {"max": "maximum", "min": "minimum"}  # NumPy's function names
 # All functions that a compiled formula can call.
 _OF_ARRAYS: dict[str, Any] = {"__builtins__": {}, **{n: getattr(np, _OTHERWISE.get(n, n)) for n in _FUNCTIONS}}
@@ -80,11 +81,11 @@ class Expression:
         try:
             result = _value(self._tree, values)
         except (ArithmeticError, ValueError, TypeError) as error:
-            raise ProblemError(f"'{self.text}' has no value ({error})", fix="change the bounds") from None
+            raise ProblemError(f"{_shown(self.text)} has no value ({error})", fix="change the bounds") from None
         if isinstance(result, complex):
-            raise ProblemError(f"'{self.text}' has no real value", fix="change the bounds")
+            raise ProblemError(f"{_shown(self.text)} has no real value", fix="change the bounds")
         if not math.isfinite(result):
-            raise ProblemError(f"'{self.text}' is {result}", fix="change the bounds")
+            raise ProblemError(f"{_shown(self.text)} is {result}", fix="change the bounds")
         return float(result)
 
     def of_samples(self, columns: Mapping[str, FloatArray]) -> FloatArray:
@@ -105,7 +106,9 @@ class Expression:
         try:
             return float(_dual(self._tree, values, slopes)[1])
         except (ArithmeticError, ValueError, TypeError) as error:
-            raise ProblemError(f"'{self.text}' has no derivative ({error})", fix="change the bounds") from None
+            raise ProblemError(
+                f"{_shown(self.text)} has no derivative ({error})", fix="change the bounds"
+            ) from None
 
     def renamed(self, names: Mapping[str, str]) -> Expression:
         """Return the expression with parameters renamed; `names` maps old names to new ones."""
@@ -128,10 +131,15 @@ def parse(text: str, *, where: object = None) -> Expression:
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         functions = ", ".join(_FUNCTIONS)
         raise ProblemError(
-            f"'{text}' is not an arithmetic expression",
+            f"{_shown(text)} is not an arithmetic expression",
             where=where,
             fix=f"use numbers, parameters, + - * / ** and {functions}",
         ) from None
+
+
+def _shown(text: str) -> str:
+    """Return the text as messages show it: quoted, and not at length."""
+    return f"'{text}'" if len(text) <= _SHOWN else f"'{text[:_SHOWN]}...' ({len(text)} characters)"
 
 
 @lru_cache(maxsize=_REMEMBERED)

@@ -27,6 +27,8 @@ from fmuid.data.table_layout import TableLayout, source_of
 
 MAX_BYTES = 2_000_000_000
 MAX_COLUMNS = 10_000
+MAX_LINE = 2**20  # bytes
+_LINE_ENDS = re.compile(rb"[\r\n\0]")  # or the NUL bytes of a damaged file
 TIMES = ("time", "t", "timestamp", "timestamps", "datetime", "zeit")
 """Names of a time axis, in upper or lower case."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab"}
@@ -218,6 +220,7 @@ def _read_text(path: Path) -> tuple[str, list[str]]:
         raise MeasurementsError("no such file", where=path, fix="check the path") from None
     except OSError as error:
         raise MeasurementsError(f"cannot be read ({error.strerror})", where=path, fix="check the path") from None
+    _check_lines(content, path)
     begin, encodings = content[:1000], [("utf-8-sig", ""), ("cp1252", "Windows-1252")]
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encodings = [("utf-16", "UTF-16")]
@@ -232,6 +235,15 @@ def _read_text(path: Path) -> tuple[str, list[str]]:
             if not name or not _CONTROL.search(text[:10_000]):
                 return text, [*([f"read as {name}"] if name else []), *notes]
     raise MeasurementsError("is not text", where=path, fix="save it as CSV in UTF-8")
+
+
+def _check_lines(content: bytes, path: Path) -> None:
+    """Refuse endless lines before they are decoded and split, which takes many times their size."""
+    for k in range(0, len(content) - MAX_LINE + 1, MAX_LINE):
+        if not _LINE_ENDS.search(content, k, k + MAX_LINE):
+            line = content.count(b"\n", 0, k) + 1
+            fix = "write one row for each time"
+            raise MeasurementsError("is longer than 1 MB", where=f"{path} line {line}", fix=fix)
 
 
 def _without_nul(text: str) -> tuple[str, list[str]]:

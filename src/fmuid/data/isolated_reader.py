@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fmuid.core.errors import MeasurementsError
+from fmuid.core.exit_status import KILLED
 
 _T = TypeVar("_T")
 TIME_LIMIT = 60.0  # s of processor time, plus a second for every 5 MB
@@ -86,6 +87,10 @@ def read_isolated(read: Callable[[Path], _T], path: Path, *, limit: float | None
             _end()
             if ended == -getattr(signal, "SIGXCPU", 0):
                 raise _too_slow(path, limit) from None
+            if ended == KILLED:
+                raise MeasurementsError(
+                    "the process that reads it was killed (SIGKILL)", where=path, fix="free memory, then try again"
+                ) from None
             raise MeasurementsError(
                 "crashes the library that reads it", where=path, fix="write it again: it may be damaged"
             ) from None

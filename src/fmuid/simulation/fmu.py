@@ -480,6 +480,7 @@ def load_fmu(path: str | Path, interface: Interface | None = None) -> Fmu:
 
 
 MAX_EXTRACTED = 4e9  # bytes
+MAX_FILES = 50_000
 _NOT_RUN = ("sources/", "documentation/")
 
 
@@ -513,6 +514,8 @@ def _read_description(path: Path) -> FmuDescription:
 def _check_members(path: Path) -> None:
     """Refuse an archive that would write outside the folder it is extracted to, or fill the disk."""
     with zipfile.ZipFile(path) as archive:
+        if len(archive.infolist()) > MAX_FILES:
+            raise FmuError(f"contains more than {MAX_FILES} files", where=path, fix="do not use it")
         size = sum(member.file_size for member in archive.infolist())
         if size > MAX_EXTRACTED:
             raise FmuError(f"is {size / 1e9:.3g} GB unpacked", where=path, fix="do not use it")

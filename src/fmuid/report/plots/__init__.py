@@ -10,10 +10,11 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Literal, get_args
 
+from fmuid.core import exit_status
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.report.plots.figure_data import Figure, tables
@@ -68,8 +69,9 @@ def save_figures(
         for k, helper in enumerate(started, start=1):
             stack.enter_context(helper)
             assert helper.stdin is not None
-            helper.stdin.write(pickle.dumps(figures[k :: helpers + 1]))
-            helper.stdin.close()
+            with suppress(BrokenPipeError):  # it has died, as its status will show
+                helper.stdin.write(pickle.dumps(figures[k :: helpers + 1]))
+                helper.stdin.close()
         mine = figures[:: helpers + 1]
         for k, figure in enumerate(mine):
             if progress is not None:
@@ -78,9 +80,13 @@ def save_figures(
         for helper in started:
             assert helper.stderr is not None
             words = helper.stderr.read().decode(errors="replace").strip().splitlines()
-            if helper.wait() != 0:
+            status = helper.wait()
+            if status != 0:
+                died = f"a helper process ended: {exit_status.in_words(status)}"
                 raise FmuidError(
-                    f"figures could not be drawn ({words[-1] if words else 'a process died'})", where=folder
+                    f"figures could not be drawn ({words[-1] if words else died})",
+                    where=folder,
+                    fix="free memory, then try again" if status == exit_status.KILLED else None,
                 )
 
 

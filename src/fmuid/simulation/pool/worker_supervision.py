@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import pickle
 import shutil
-import signal
 import sys
 import tempfile
 import threading
@@ -22,7 +21,9 @@ from multiprocessing import connection as mp_connection
 from pathlib import Path
 from typing import Any
 
+from fmuid.core import exit_status
 from fmuid.core.errors import FmuidError, SimulationError
+from fmuid.core.exit_status import KILLED
 from fmuid.core.scratch import Scratch
 from fmuid.simulation import resets
 from fmuid.simulation.fmu_variables import in_words
@@ -310,9 +311,12 @@ class Supervisor:
         self._dismiss(worker)
         if head is None:
             if self._failed_starts >= _MAX_FAILED_STARTS:
-                raise FmuidError("worker processes do not start", **_START_HINT) from None
+                if code is not None and code < 0:
+                    raise FmuidError(f"starting workers end ({exit_status.in_words(code)})", **_LACKING_HINT)
+                raise FmuidError("worker processes do not start", **_START_HINT)
             return
-        if (worker.done or finished or in_reset) and not head.retried and worker.killed != "time":
+        by_others = code == KILLED and worker.killed is None
+        if (worker.done or finished or in_reset or by_others) and not head.retried and worker.killed != "time":
             head.retried = True
             with self._lock:
                 self._pending.appendleft(head)
@@ -333,7 +337,7 @@ class Supervisor:
         elif worker.killed == "memory":
             what = f"took more memory than the limit of {self._limits.memory / 2**20:.0f} MB"
         else:
-            what = f"crashed ({_cause(code)})"
+            what = f"{'was killed' if code == KILLED else 'crashed'} ({exit_status.in_words(code)})"
         given = in_words(call.parameters)
         return SimulationError(what + (f" (with {given})" if given else ""), where=call.name)
 
@@ -377,7 +381,13 @@ class Supervisor:
         )
         try:
             with _one_thread_each():
-                process.start()
+                try:
+                    process.start()
+                except (
+                    EOFError,
+                    ConnectionError,
+                ):  # the process that forks workers was killed: there is a new one
+                    process.start()
         except (OSError, EOFError, RuntimeError) as error:
             ours.close()
             lacking = isinstance(error, OSError) and not isinstance(error, ConnectionError)
@@ -411,10 +421,3 @@ class Supervisor:
                 call.future.set_exception(error)
             else:
                 call.future.cancel()
-
-
-def _cause(code: int | None) -> str:
-    if code is not None and code < 0:
-        with suppress(ValueError):
-            return signal.Signals(-code).name
-    return f"exit code {code}"
