@@ -12,6 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks import page_pictures
 from benchmarks.screenshots import browser
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -36,6 +37,9 @@ def main() -> None:
         run(["bash", "-e", "-c", "fmuid demo --no-open --out demo; fmuid report demo/identified"], folder)
         for page in ("tutorials/three-rigs.md", "how-to/read-diagnosis.md"):
             run_page(DOCS / page, folder)
+        page = "fmuid identify demo/campaign --no-report --quiet; fmuid diagnose runs/campaign --quiet"
+        run(["bash", "-e", "-c", page], folder)
+        page_pictures.take(folder, "demo/campaign", DOCS / "figures")
         with browser() as window:
             for picture, (report, width, height) in REPORTS.items():
                 whole = window.open(folder / report, width)

@@ -139,3 +139,17 @@ def test_a_message_about_a_part_that_is_not_shown_is_at_the_top(tank: Path, open
     file.write_text(file.read_text() + "\n[signals.valve]\nfilter = 2.0\n")
     page.get_by_role("status").get_by_text("1 to correct").wait_for()
     page.get_by_text("valve").first.wait_for()
+
+
+def test_two_windows_show_each_message_once(tank: Path, opened: Opened, browser: Any) -> None:
+    logs = sorted(tank.glob("*.csv"))
+    step = tank / "step.csv"
+    step.write_text(re.sub(r"(?m)^(\d+),\d+,", r"\1,900,", step.read_text()))  # a constant input
+    address = opened(*logs, "--model", "Tank.mo", cwd=tank)
+    windows = [browser.new_page(), browser.new_page()]
+    for page in windows:
+        page.goto(address)
+    windows[0].wait_for_timeout(6000)
+    for page in windows:
+        row = page.get_by_role("row").filter(has=page.get_by_label("Variable for heater"))
+        expect(row.get_by_text("is constant")).to_have_count(1)

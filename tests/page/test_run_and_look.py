@@ -67,7 +67,7 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
         "(e) => e.textContent.startsWith('RMS') && e.textContent !== before)",
         arg=before,
     )
-    rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) degC", before + said.inner_text())]
+    rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) °C", before + said.inner_text())]
     assert rms[1] > rms[0]
     milliseconds = float(re.search(r"in (\d+) ms", said.inner_text())[1])  # type: ignore[index]
     assert milliseconds < 2000

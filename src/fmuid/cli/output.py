@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ import typer
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import check_folder
+from fmuid.core.progress import AS_LINES, PROGRESS_VARIABLE, progress_line
 
 Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -71,6 +73,9 @@ class Printer:
     @contextmanager
     def working(self, what: str) -> Iterator[Callable[..., None]]:
         """Show progress on a terminal; yield a function of the fraction done (0 to 1) and a new text."""
+        if os.environ.get(PROGRESS_VARIABLE) == AS_LINES:
+            yield _write_line
+            return
         if self.quiet or not sys.stderr.isatty():
             yield _say_nothing
             return
@@ -132,6 +137,10 @@ def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
         if not math.isfinite(result[name]):
             raise FmuidError(f"'{name}' is {value}", where=option, fix="write a finite number")
     return result
+
+
+def _write_line(share: float, what: str = "") -> None:
+    print(progress_line(share, what), file=sys.stderr, flush=True)
 
 
 def _say_nothing(*_: object) -> None:

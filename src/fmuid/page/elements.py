@@ -138,7 +138,9 @@ class Slider:
         self._log = log
         self._unit = unit
         with element("div", "slider"):
-            text("span", label, "name")
+            with element("span", "name"):
+                text("span", label)
+                text("span", f" [{unit}]" if unit else "", "soft")
             self._number = Field(
                 f"Value of {label}", f"{value:.5g}", lambda typed: self._typed(typed, moved), "7em"
             )

@@ -13,42 +13,74 @@ from nicegui import run, ui
 from fmuid.core.campaign import ParameterSpec
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.problem.cases import Case
+from fmuid.identification.result import FILE as RESULT
 from fmuid.identification.validate import predicted
 from fmuid.page.elements import Charts, Choice, Slider, button, element, set_text, text, told
-from fmuid.page.outcome import Outcome, in_log_units, outcome_at
+from fmuid.page.next_experiment import NextExperiment
+from fmuid.page.outcome import Outcome, in_log_units, of_corrected, outcome_at
 from fmuid.page.workspace import Workspace
 from fmuid.report.figures import Overlay, overlay_figure
+from fmuid.report.plots.figure_data import pretty_unit
 from fmuid.report.predicted import overlays
 
 _SPAN = 3.0  # factor from the value to the ends of a slider without bounds
 
 
 class LookView:
-    """The last tab of the page."""
+    """The last tab of the page.
 
-    def __init__(self, workspace: Workspace, run_folder: Path | None = None) -> None:
-        self._work = workspace
-        self._folder = run_folder
-        self._version = -1
+    Parameters
+    ----------
+    workspace
+        Has the campaign.
+    run
+        The run folder to look at.
+    diagnosis
+        The folder of the diagnosis to look at instead, if any.
+    """
+
+    def __init__(self, workspace: Workspace, run: Path, diagnosis: Path | None = None) -> None:
+        self._campaign_of = workspace
+        self._work = workspace  # of the model that is simulated: after a diagnosis, the corrected one
+        self._run_folder, self._diagnosis = run, diagnosis
+        self._built: object = None
         self._root = element("div")
         self._busy = False
 
-    def opened(self, run_folder: Path | None = None) -> None:
-        """Show the present result."""
-        self._folder = run_folder or self._folder
+    def opened(self, folder: Path | None = None) -> None:
+        """Show the present result, or that in another folder."""
+        if folder is not None and (folder / DIAGNOSIS).is_file():
+            self._diagnosis = folder
+        elif folder is not None:
+            self._run_folder, self._diagnosis = folder, None
+        state = self._state()
+        if state == self._built:  # everything is as the user left it
+            return
+        self._built = state
+        self._root.clear()
         with told():
-            self._build()
+            if self._diagnosis is None:
+                self._work = self._campaign_of
+            else:
+                self._work = of_corrected(self._diagnosis, self._campaign_of)
+            with self._root:
+                self._build()
+
+    def _state(self) -> object:
+        """Return the folder, the campaign and the results that the tab shows."""
+        folder = self._diagnosis or self._run_folder
+        files = [folder / name for name in (DIAGNOSIS, RESULT)]
+        return folder, self._campaign_of.version, [file.stat().st_mtime for file in files if file.is_file()]
 
     def _build(self) -> None:
         work = self._work
-        self._root.clear()
         campaign = work.campaign
         if campaign is None:
-            with self._root:
-                text("p", "The campaign has errors; see Prepare.", "headline", role="status")
+            text("p", "The campaign has errors; see Prepare.", "headline", role="status")
             return
-        self._outcome = outcome_at(self._folder, campaign) or Outcome(
+        self._outcome = outcome_at(self._diagnosis or self._run_folder, campaign) or Outcome(
             "Not identified yet: these are the start values.", {"start": campaign.start_values}
         )
         self._names = list(self._outcome.values)
@@ -56,27 +88,29 @@ class LookView:
         runs = [r.id for r in work.runs if not r.repeats_another]
         self._run = next((r for r in (*campaign.validation, *campaign.identification) if r in runs), runs[0])
         self._cases: tuple[Case, ...] = ()
-        with self._root:
-            text("p", self._outcome.headline, "headline", role="status")
-            with element("div", "buttons"):
-                text("span", "Show run")
-                Choice("Run to look at", {r: r for r in runs}, self._run, self._choose)
-                if len(self._names) > 1:
-                    text("span", "Values")
-                    self._set = Choice("Set of values", {n: n for n in self._names}, self._names[0], self._take)
-                if self._outcome.effects:
-                    self._switch = button("Correction", self._toggle, role="switch", aria_checked="true")
-                button("Use as start values", self._keep)
-            self._said = text("p", "", "soft", role="status")
-            with element("div", "beside"):
-                self._charts = Charts()
-                with element("section", "side", aria_label="Sliders"):
-                    self._sliders: dict[str, Slider] = {}
-                    effects = [s for s in campaign.parameters.values() if s.name in self._outcome.effects]
-                    rest = [s for s in campaign.parameters.values() if s.name not in self._outcome.effects]
-                    self._group("Size of each effect", effects)
-                    self._group("Parameters", [s for s in rest if s.free])
-                    self._group("Fixed parameters", [s for s in rest if not s.free])
+        text("p", self._outcome.headline, "headline", role="status")
+        with element("div", "buttons"):
+            text("span", "Show run")
+            Choice("Run to look at", {r: r for r in runs}, self._run, self._choose)
+            if len(self._names) > 1:
+                text("span", "Values")
+                self._set = Choice("Set of values", {n: n for n in self._names}, self._names[0], self._take)
+            if self._outcome.effects:
+                self._switch = button("Correction", self._toggle, role="switch", aria_checked="true")
+            button("Use as start values", self._keep)
+        self._said = text("p", "", "soft", role="status")
+        with element("div", "beside"):
+            self._charts = Charts()
+            with element("section", "side", aria_label="Sliders"):
+                self._sliders: dict[str, Slider] = {}
+                effects = [s for s in campaign.parameters.values() if s.name in self._outcome.effects]
+                rest = [s for s in campaign.parameters.values() if s.name not in self._outcome.effects]
+                self._group("Size of each effect", effects)
+                self._group("Parameters", [s for s in rest if s.free])
+                self._group("Fixed parameters", [s for s in rest if not s.free])
+        run = self._run_folder if (self._run_folder / RESULT).is_file() else None
+        design = self._run_folder.with_name(f"{self._run_folder.name}-design")
+        NextExperiment(self._campaign_of, run, self._diagnosis, design)
         self._choose(self._run)
 
     def _group(self, title: str, specs: list[ParameterSpec]) -> None:
@@ -91,7 +125,7 @@ class LookView:
                         self._values[name],
                         _ends(spec, self._values[name]),
                         lambda value, name=name: self._moved({name: value}),  # type: ignore[misc]
-                        unit=spec.unit or "",
+                        unit=pretty_unit(spec.unit or ""),
                         log=spec.scale == "log",
                     )
 
@@ -119,7 +153,7 @@ class LookView:
 
     def _keep(self) -> None:
         with told():
-            self._work.start_from(self._values)
+            self._campaign_of.start_from(self._values)
             ui.notify("campaign.toml now starts from these values; Undo is in Prepare")
 
     def _moved(self, values: Mapping[str, float]) -> None:
@@ -162,7 +196,7 @@ class LookView:
 def _rms(overlay: Overlay) -> str:
     residual = overlay.predictions[-1][2] - overlay.measurement
     residual = residual[np.isfinite(residual)]
-    text = f"{float(np.sqrt(np.mean(residual**2))) if residual.size else math.nan:.3g} {overlay.unit}"
+    text = f"{float(np.sqrt(np.mean(residual**2))) if residual.size else math.nan:.3g} {pretty_unit(overlay.unit)}"
     if overlay.sigma is None:
         return text
     sigma = np.asarray(overlay.sigma, dtype=np.float64)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from fmuid.core.errors import FmuidError
 from fmuid.data.table_layout import TableLayout
-from fmuid.diagnosis.corrected import FOLDER
 from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.continued import is_run
@@ -98,9 +97,10 @@ def workspace_of(
             )
         (path,) = what
         if (path / DIAGNOSIS).is_file():
-            corrected = path / FOLDER
-            campaign = corrected if corrected.is_dir() else Path(read_diagnosis(path / DIAGNOSIS)["campaign"])
-            return Workspace(campaign, runner=runner, trust=trust)
+            campaign = read_diagnosis(path / DIAGNOSIS)["campaign"]
+            if campaign is None:
+                raise FmuidError("names no campaign", where=path / DIAGNOSIS, fix="open its campaign instead")
+            return Workspace(Path(campaign), runner=runner, trust=trust)
         if is_run(path):
             return Workspace(Path(Result.from_json(path).source), runner=runner, trust=trust)
         if path.is_file() and path.suffix != ".toml":

@@ -10,9 +10,11 @@ from typing import Any
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, UnitError
 from fmuid.core.units import conversion
+from fmuid.diagnosis.corrected import FOLDER
 from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.result import Result
+from fmuid.page.workspace import Workspace
 from fmuid.report.figures import Overlay
 from fmuid.report.identification_page import estimates_sentence
 from fmuid.simulation.signal_effects import signal_and_property
@@ -60,6 +62,14 @@ def of_diagnosis(folder: Path, campaign: Campaign) -> Outcome:
     if not effects:
         return Outcome(headline, {"nominal, refitted": corrected | nominal, "start": corrected})
     return Outcome(headline, {"corrected": corrected, "nominal, refitted": corrected | nominal | effects}, effects)
+
+
+def of_corrected(folder: Path, workspace: Workspace) -> Workspace:
+    """Return a workspace of the corrected model of a diagnosis, or `workspace` if it named no effect."""
+    corrected = folder / FOLDER
+    if not corrected.is_dir():
+        return workspace
+    return Workspace(corrected, runner=workspace.runner, trust=workspace.trust)
 
 
 def neutral_values(campaign: Campaign) -> dict[str, float]:

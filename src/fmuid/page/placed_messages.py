@@ -55,7 +55,9 @@ class Message:
     def of_finding(cls, finding: Finding) -> Self:
         """Return the message of a finding."""
         kind, name = place_of(finding.where)
-        if kind in ("model", "experiment") and (named := re.match(r"(?:output|input) '([^']*)'", finding.what)):
+        if kind in ("model", "experiment", "roles") and (
+            named := re.match(r"(?:output|input) '([^']*)'", finding.what)
+        ):
             kind, name = "signal", named[1]
         return cls(finding.level, kind, name, finding.what, finding.fix)
 

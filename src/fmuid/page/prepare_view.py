@@ -46,7 +46,6 @@ class PrepareView:
     def __init__(self, workspace: Workspace) -> None:
         self._work = workspace
         self._shown = -1
-        self._effects_of = -1
         self._busy = False
         self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
         self._dragged: str | None = None
@@ -144,7 +143,7 @@ class PrepareView:
         if self._shown != self._work.version:
             self._show()
             await self._simulate()
-        if self._effects_of != self._work.version and not self._busy:
+        if not self._work.effects_known and not self._busy:
             version = self._work.version
             await asyncio.sleep(_QUIET)
             if version != self._work.version:
@@ -154,7 +153,6 @@ class PrepareView:
                 await run.io_bound(self._work.simulate_effects)
             finally:
                 self._busy = False
-            self._effects_of = self._work.version
             self._show()
 
     def _notes(self, kind: Kind, name: str) -> None:

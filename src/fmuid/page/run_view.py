@@ -13,14 +13,18 @@ from nicegui import run, ui
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
+from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
+from fmuid.diagnosis_pipeline import JOURNAL
 from fmuid.identification.history import FollowedRun, StageHistory
+from fmuid.identification.result import FILE as RESULT
 from fmuid.identification.result import Result, StageResult
 from fmuid.identification.validate import predicted
+from fmuid.page.command_control import Command, CommandControl
+from fmuid.page.command_process import CommandProcess
 from fmuid.page.elements import Charts, Choice, Field, button, element, enable, header, set_text, text, told
 from fmuid.page.outcome import in_log_units
 from fmuid.page.parameter_table import ParameterTable
 from fmuid.page.placed_messages import by_place
-from fmuid.page.search_process import SearchProcess
 from fmuid.page.workspace import Workspace
 from fmuid.report import figures
 from fmuid.report.plots.figure_data import Figure, Role
@@ -46,7 +50,7 @@ class RunView:
     def __init__(self, workspace: Workspace, folder: Path, finished: Callable[[Path], object]) -> None:
         self._work = workspace
         self._finished = finished
-        self._process: SearchProcess | None = None
+        self._process: CommandProcess | None = None
         self._follow(folder)
         self._drawing = False
         self._next_drawing = 0.0
@@ -64,6 +68,14 @@ class RunView:
             Choice("Run to follow", {r.id: r.id for r in workspace.runs}, self._run, self._choose)
         self._where = text("p", "", "soft name")
         self._complaint = text("p", "", "note error", role="alert")
+        self._diagnosis = CommandControl(
+            "Diagnosis",
+            "Diagnose",
+            self._diagnose,
+            look="Look at the diagnosis",
+            finished=lambda: self._finished(self._diagnosis_folder),
+            purpose="What the model misses, after an identification. fmuid diagnose takes seconds to minutes.",
+        )
         self._charts = Charts()
         with element("details") as self._details:
             text("summary", "Parallel coordinates of parameters and criteria")
@@ -96,16 +108,31 @@ class RunView:
             self._launch(folder)
 
     def _launch(self, folder: Path, *, resume: bool = False) -> None:
-        if self._work.campaign is None or any(m.level == "error" for m in self._work.messages):
-            raise FmuidError("the campaign has errors", where="Prepare", fix="correct them first")
+        self._work.demand_ready()
         if folder != self._folder:
             self._follow(folder)
-        self._process = SearchProcess(self._work.file.path, folder, trust=self._work.trust)
+        trust = ["--trust"] if self._work.trust else []
+        self._process = CommandProcess("identify", self._work.file.path, "--out", folder, "--no-report", *trust)
         self._process.start(resume=resume)
+
+    @property
+    def _diagnosis_folder(self) -> Path:
+        name = self._folder.name
+        return self._folder.with_name(f"{name}-diagnosis")
+
+    def _diagnose(self) -> Command:
+        folder = self._diagnosis_folder
+
+        def words() -> list[object]:
+            self._work.demand_ready()
+            source = self._folder if (self._folder / RESULT).is_file() else self._work.file.path
+            return ["diagnose", source, "--out", folder, *(["--trust"] if self._work.trust else [])]
+
+        return Command(words, folder / DIAGNOSIS, folder / JOURNAL)
 
     def _paused(self) -> None:
         if self._process is not None:
-            self._process.pause()
+            self._process.stop()
 
     def _resumed(self) -> None:
         with told():
@@ -113,7 +140,7 @@ class RunView:
 
     async def _stopped(self) -> None:
         if self._process is not None:
-            self._process.pause()
+            self._process.stop()
             await run.io_bound(self._process.wait)
         self._finished(self._folder)
 
@@ -121,7 +148,7 @@ class RunView:
         """Start another search at the best point of this one, with the campaign as it is now."""
         best = self._best_values()
         if self._process is not None:
-            self._process.pause()
+            self._process.stop()
             await run.io_bound(self._process.wait)
         with told():
             self._work.start_from(best)
@@ -228,7 +255,7 @@ class RunView:
     async def _curves(self, stage: StageHistory) -> list[Figure]:
         """Return the best and the current simulation over the measurements."""
         versions: list[tuple[str, Role, dict[str, float]]] = [
-            ("current", "iterate", dict(stage.rows[len(stage.rows) - 1].parameters)),
+            ("current", "alternative", dict(stage.rows[len(stage.rows) - 1].parameters)),
             ("best", "final", self._best_values()),
         ]
         try:

@@ -48,7 +48,7 @@ class Shell:
         self._views: dict[str, Callable[[], object]] = {
             "Prepare": lambda: PrepareView(workspace),
             "Run": lambda: RunView(workspace, run_folder, self._look),
-            "Look": lambda: LookView(workspace, diagnosis or run_folder),
+            "Look": lambda: LookView(workspace, run_folder, diagnosis),
         }
         self._tabs: dict[str, Element] = {}
         self._panels: dict[str, Element] = {}
@@ -71,8 +71,8 @@ class Shell:
                 self._panels[name] = panel
         self.open(first)
 
-    def open(self, name: str) -> None:
-        """Open a tab; it is built when it is opened first."""
+    def open(self, name: str, *shown: Path) -> None:
+        """Open a tab, which may show a folder; it is built when it is opened first."""
         for other, panel in self._panels.items():
             panel.set_visibility(other == name)
             if other in self._tabs:
@@ -82,11 +82,10 @@ class Shell:
             with self._panels[name]:
                 self._made[name] = self._views[name]()
         if hasattr(self._made[name], "opened"):
-            self._made[name].opened()
+            self._made[name].opened(*shown)
 
     def _look(self, folder: Path) -> None:
-        self.open("Look")
-        self._made["Look"].opened(folder)
+        self.open("Look", folder)
 
     def _title(self) -> str:
         head = self._work.file.tables.get("campaign", {})

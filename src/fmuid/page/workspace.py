@@ -106,6 +106,7 @@ class Workspace:
         self.models: Mapping[str, Simulator] = {}
         self.messages: tuple[Message, ...] = ()
         self.checked: Checked | None = None
+        self.effects_known = False
         self.version = 0
         self._logs = dict(logs or {})
         self._layout = layout
@@ -126,7 +127,7 @@ class Workspace:
     def refresh(self) -> None:
         """Read the campaign again and check it without simulating."""
         self.version += 1
-        self.checked = None
+        self.checked, self.effects_known = None, False
         messages: list[Message] = []
         try:
             self.measurements = read_measurements(self.measurements_file)
@@ -140,10 +141,22 @@ class Workspace:
             messages.append(Message.of_error(error))
         self.messages = tuple(messages)
 
+    def demand_ready(self) -> None:
+        """Raise an error unless the campaign can be simulated.
+
+        Raises
+        ------
+        FmuidError
+            The campaign has errors.
+        """
+        if self.campaign is None or any(m.level == "error" for m in self.messages):
+            raise FmuidError("the campaign has errors", where="Prepare", fix="correct them first")
+
     def simulate_effects(self) -> None:
         """Simulate the stages around their start, as `fmuid check` does, and add what that shows."""
-        if self.campaign is None or self.checked is None or self.checked.errors:
+        if self.effects_known or self.campaign is None or self.checked is None or self.checked.errors:
             return
+        self.effects_known = True  # until something changes, whichever window asks
         version = self.version
         try:
             found = with_effects(self.checked, self.campaign, self.models, self.runner)
