@@ -128,6 +128,12 @@ def test_a_campaign_states_the_timing_of_a_model_and_of_single_signals(model: Fm
     linear = load_campaign(campaign(model, tmp_path, 'timing = "held"', '[signals.u]\ntiming = "linear"\n'))
     (case,) = from_campaign(linear, list(linear.measurements), (), {"bench": model})
     assert (case.task.interpolation, case.task.linear, case.task.after) == ("hold", ("u",), ())
+    smooth = load_campaign(campaign(model, tmp_path, 'timing = "band-limited"'))
+    (case,) = from_campaign(smooth, list(smooth.measurements), (), {"bench": model})
+    assert (case.task.interpolation, case.task.band_limited) == ("band-limited", ())
+    mixed = load_campaign(campaign(model, tmp_path, 'timing = "held"', '[signals.u]\ntiming = "band-limited"\n'))
+    (case,) = from_campaign(mixed, list(mixed.measurements), (), {"bench": model})
+    assert (case.task.interpolation, case.task.band_limited) == ("hold", ("u",))
     old = load_campaign(campaign(model, tmp_path, 'interpolation = "linear"'))
     assert old.models["bench"].timing == "linear"
 
@@ -136,7 +142,11 @@ def test_a_campaign_states_the_timing_of_a_model_and_of_single_signals(model: Fm
     ("timing", "signals", "line"),
     [
         ('timing = "held"\ninterpolation = "hold"', "", "has timing and interpolation; remove interpolation"),
-        ("", '[signals.u]\ntiming = "held-read-after"', "which inputs cannot have; choose held or linear"),
+        (
+            "",
+            '[signals.u]\ntiming = "held-read-after"',
+            "which inputs cannot have; choose held, linear or band-limited",
+        ),
         ("", '[signals.i]\ntiming = "linear"', "which outputs cannot have; choose held or held-read-after"),
         ("", "[signals.i]\nshift = 500", "shift is 500 s, longer than the run in run 'run'; write seconds"),
     ],

@@ -45,7 +45,7 @@ from fmuid.simulation.coupled.coupling_table import CoupledTable, coupling_of
 FILE_NAME = "campaign.toml"
 MAX_STARTS, MAX_DRAWS, MAX_POINTS = 1000, 100_000, 1000  # of a solver, Monte Carlo, a Pareto front
 SIGNAL_TIMINGS: Mapping[Causality, tuple[Timing, ...]] = {
-    "input": ("held", "linear"),
+    "input": ("held", "linear", "band-limited"),
     "output": ("held", "held-read-after"),
 }
 _Table = Mapping[str, Any]
@@ -63,7 +63,7 @@ class _ModelTable(CoupledTable):
     map: dict[str, str] = {}
     initial: dict[str, Any] = {}
     interpolation: Literal["hold", "linear", "preceding"] | None = None
-    timing: Literal["held", "linear", "held-read-after", "preceding"] | None = None
+    timing: Timing | None = None
     interface: Literal["co-simulation", "model exchange"] | None = None
     source: str = ""
     class_: str = msgspec.field(name="class", default="")
@@ -133,7 +133,7 @@ class _SignalTable(Table):
     order: int = 1
     causality: Literal["input", "output"] = "input"
     filter: float | None = None
-    timing: Literal["held", "linear", "held-read-after"] | None = None
+    timing: Literal["held", "linear", "band-limited", "held-read-after"] | None = None
     shift: float = 0.0
 
 
@@ -373,7 +373,8 @@ def _signal_timing(timing: Timing, causality: Causality, where: str) -> Timing:
     known = SIGNAL_TIMINGS[causality]
     if timing not in known:
         what = f"timing is '{timing}', which {causality}s cannot have"
-        raise CampaignError(what, where=where, fix=f"choose {' or '.join(known)}")
+        fix = f"choose {', '.join(known[:-1])} or {known[-1]}"
+        raise CampaignError(what, where=where, fix=fix)
     return timing
 
 

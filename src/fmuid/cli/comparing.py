@@ -39,7 +39,7 @@ def compare(
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter of the FMU (repeat).")
     ] = None,
     interpolation: Annotated[
-        Literal["hold", "linear"],
+        Literal["hold", "linear", "band-limited"],
         typer.Option(help="Interpolation of the FMU's inputs between samples of the reference."),
     ] = "hold",
     out: Annotated[

@@ -46,7 +46,8 @@ def simulate(
         list[str] | None, typer.Option("--output", help="Record this variable (repeat for more).")
     ] = None,
     interpolation: Annotated[
-        Literal["hold", "linear"], typer.Option(help="Interpolation between the samples of --input.")
+        Literal["hold", "linear", "band-limited"],
+        typer.Option(help="Interpolation between the samples of --input."),
     ] = "hold",
     master: Annotated[
         list[str] | None,
@@ -145,7 +146,7 @@ def _simulate_fmu(
     stop: float | None,
     step: float | None,
     outputs: list[str],
-    interpolation: Literal["hold", "linear"],
+    interpolation: Literal["hold", "linear", "band-limited"],
     runner: Runner,
 ) -> tuple[Table, list[str]]:
     """Return inputs and outputs, and notes on the simulation."""

@@ -15,8 +15,8 @@ from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import frozen_mapping
 from fmuid.core.plottable import Plottable
 
-Interpolation = Literal["hold", "linear"]
-Timing = Literal["held", "linear", "held-read-after", "preceding"]
+Interpolation = Literal["hold", "linear", "band-limited"]
+Timing = Literal["held", "linear", "band-limited", "held-read-after", "preceding"]
 Interface = Literal["co-simulation", "model exchange"]
 SEPARATOR = "@"  # "offset@run_3" is the parameter `offset` as it is in experiment run_3
 
@@ -63,7 +63,8 @@ class ModelSpec:
     `v` over the samples, as a differentiated encoder measures it. `initial` contains start values by FMU variable.
     `timing` says when input sample k acts and when outputs are read: ``held`` on [t_k, t_{k+1}), outputs just
     before it acts; ``held-read-after`` the same, but outputs just after it acts; ``linear`` between the samples;
-    ``preceding`` on (t_{k-1}, t_k] (a recorder that writes a row after each step).
+    ``band-limited`` on their interpolation by a sinc (a recorder with an anti-aliasing filter); ``preceding`` on
+    (t_{k-1}, t_k] (a recorder that writes a row after each step).
 
     `interface` says how the FMU is simulated: ``co-simulation`` (with the solver inside it) or ``model exchange``
     (with fmuid's solver, to its tolerance); None chooses co-simulation if the FMU supports it.
@@ -431,8 +432,8 @@ class Campaign(Plottable):
         Cut-off frequency (Hz) by signal, of a zero-phase low-pass that is applied to the measured and the
         simulated output before they are compared.
     timings
-        Timing of single signals that differ from their model's: ``held`` or ``linear`` for inputs, ``held`` or
-        ``held-read-after`` for outputs.
+        Timing of single signals that differ from their model's: ``held``, ``linear`` or ``band-limited`` for
+        inputs, ``held`` or ``held-read-after`` for outputs.
     outliers
         Outliers in the recording; they are missing samples in `measurements`.
     trusted

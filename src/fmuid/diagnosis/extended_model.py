@@ -377,14 +377,13 @@ def _task(want: _Wanted, disturbed: Disturbed | None) -> Task:
     task = want.case.task
     if disturbed is None or (disturbed.time is task.time and not disturbed.inputs):
         return task
-    linear = tuple(want.drive or ()) if interpolates(want.case.simulator) else ()
+    linear = tuple(want.drive or ()) if _draws_lines(want.case) else ()
     shared = None
     if want.drive is not None and disturbed.time is task.time:
         begins = [int(np.flatnonzero(u)[0]) for n, u in disturbed.inputs.items() if n in want.drive and np.any(u)]
         # A line from zero begins at the sample before.
         shared = (want.index, max(0, min(begins) - bool(linear))) if begins else None
-    inputs = {**task.inputs, **disturbed.inputs}
-    return replace(task, time=disturbed.time, inputs=inputs, linear=(*task.linear, *linear), shared=shared)
+    return disturbed.task(linear=linear, shared=shared)
 
 
 def _disturbed(
@@ -392,7 +391,7 @@ def _disturbed(
 ) -> Disturbed | None:
     """Return the case's task with its signals disturbed and further inputs driven; None if it is unchanged."""
     driven = {}
-    linear = interpolates(case.simulator)
+    linear = _draws_lines(case)
     for name, series in (drive or {}).items():
         values = np.asarray(series[index])
         # A step of the model ends at a measured sample: what is held during the step is known at that sample.
@@ -403,8 +402,20 @@ def _disturbed(
     names = [c.signal for c in case.channels]
     if not driven and not any(name in signal for name in (*names, *case.task.inputs)):
         return None
-    any_times = takes_any_times(case.simulator)
-    return disturbed_task(case.task, signal, names, driven, any_times=any_times, linear_drive=linear)
+    return disturbed_task(
+        case.task,
+        signal,
+        names,
+        driven,
+        any_times=takes_any_times(case.simulator),
+        linear_drive=linear,
+        variables=case.simulator.variables,
+    )
+
+
+def _draws_lines(case: Case) -> bool:
+    """Return whether further inputs of a case are linear between its samples, else held."""
+    return interpolates(case.simulator) or case.task.interpolation == "band-limited"
 
 
 def _held(values: FloatArray) -> FloatArray:

@@ -41,6 +41,7 @@ from fmuid.simulation.simulator import Variable, needed_tool
 _TIMINGS = {
     "held": "inputs are held between their samples",
     "linear": "inputs are linear between their samples",
+    "band-limited": "inputs are band-limited, as after an anti-aliasing filter",
     "held-read-after": "inputs are held between their samples, and outputs are read just after they act",
 }
 _NEAR, _FAR = 10.0, 300.0  # factors to the start value within which a parameter is searched
@@ -355,7 +356,8 @@ def _toml(
         *named,
         f"map = {{ {renamed} }}" if renamed else "map = {}",
         "# Inputs are held until the next sample, and outputs are read before an input acts (held) or after it",
-        "# (held-read-after); or linear between samples, or held since the preceding one (preceding).",
+        "# (held-read-after); or linear between samples; or band-limited (as after an anti-aliasing filter); or",
+        "# held since the preceding one (preceding).",
         f"timing = {toml_text(choice.timing.timing)}",
         *(
             ["# Simulated with fmuid's solver, not the FMU's.", f"interface = {toml_text(interface)}"]

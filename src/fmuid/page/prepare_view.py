@@ -32,10 +32,17 @@ _NOT_USED = "(not used)"
 _TIMING = {
     "held": "held until the next sample",
     "linear": "linear between samples",
+    "band-limited": "band-limited (anti-aliasing filter)",
     "held-read-after": "held, outputs read just after",
     "preceding": "a sample acts from the time of the previous one",
 }
-_OF_SIGNALS = {"": "as the model", "held": "held", "linear": "linear", "held-read-after": "read after"}
+_OF_SIGNALS = {
+    "": "as the model",
+    "held": "held",
+    "linear": "linear",
+    "band-limited": "band-limited",
+    "held-read-after": "read after",
+}
 _ROLES = {"identification": "identification", "validation": "validation", "none": "not used"}
 _QUIET = 1.2  # s without an edit before the parameters' effects are simulated
 

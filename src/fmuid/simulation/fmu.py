@@ -26,6 +26,7 @@ from fmuid.core.campaign import Interface
 from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets, stepper
+from fmuid.simulation.band_limited import at_samples
 from fmuid.simulation.branches import Branches
 from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription, library_name, read_description
 from fmuid.simulation.fmu_library import FmuLibrary, ProcessSpentError
@@ -214,8 +215,8 @@ class Fmu:
             if self._renewal is None and resets.deadly(self.token):
                 self._renewal = "instantiate"
             if self._renewal is None:
-                return self._first(prepared)
-            return self._simulate(prepared)
+                return at_samples(self._first(prepared), prepared.task)
+            return at_samples(self._simulate(prepared), prepared.task)
 
     def renew(self, how: Literal["reset", "instantiate"]) -> None:
         """Renew the FMU in this way from now on, as determined by simulating."""
@@ -404,7 +405,7 @@ class Fmu:
             fatal = failed is not None and plan.status == _FATAL
             error = self.failure(Outcome(outcome), prepared)
             if outcome == Outcome.TERMINATED and plan.reached >= 0:
-                known = predictions[:, : plan.reached + 1].copy()
+                known = at_samples(predictions[:, : plan.reached + 1].copy(), prepared.task)
                 fix = "compare it with runs that end by then (fmuid import --cut)"
                 error = EndedError(error.what, where=error.where, fix=fix, predictions=known)
         finally:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
+from fmuid.simulation.band_limited import refined
 from fmuid.simulation.fmu_description import DescribedInterface, FmuDescription
 from fmuid.simulation.fmu_library import FmuLibrary
 from fmuid.simulation.fmu_variables import Slot
@@ -31,6 +32,8 @@ class PreparedTask:
 
     Parameters
     ----------
+    task
+        The task; `self.task` has the communication points of its band-limited inputs as well.
     names
         Parameters that every run sets, in the order of their values.
     restored
@@ -53,15 +56,17 @@ class PreparedTask:
         linear_inputs: bool,
         interface: DescribedInterface,
     ) -> None:
-        self.task, self.names = task, names
+        self.asked, self.names = task, names
         self.library = library
         self._slots, self._where = slots, library.where
         self._kept: list[Any] = []  # arrays the plan points into
+        self._check_time(task.time)
+        self._inputs(task, variables)
+        self.task = task = refined(task, variables)
+        inputs = self._inputs(task, variables)
+        check_steps(np.diff(task.time), interface, self._where)
         n = len(task.time)
         self.size = 8 * n * (2 * len(task.inputs) + 1)  # approximate bytes, including the task's own
-        self._check_time(task.time)
-        check_steps(np.diff(task.time), interface, self._where)
-        inputs = self._inputs(variables)
         self.inputs = inputs
         fixed = {k: v for k, v in task.start_values.items() if k not in names}
         back = [name for name in restored if name not in names and name not in fixed and slots[name].has_start]
@@ -226,9 +231,9 @@ class PreparedTask:
         array = (Group * max(1, len(groups)))(*groups)
         return len(groups), array, [array, *kept]
 
-    def _inputs(self, variables: Mapping[str, Variable]) -> FloatArray:
-        """Return the inputs as columns, (N, n)."""
-        task, n = self.task, len(self.task.time)
+    def _inputs(self, task: Task, variables: Mapping[str, Variable]) -> FloatArray:
+        """Return the inputs of a task as columns, (N, n)."""
+        n = len(task.time)
         inputs = np.empty((n, len(task.inputs)))
         for j, (name, values) in enumerate(task.inputs.items()):
             if self._slot(name) and variables[name].causality != "input":
@@ -324,7 +329,7 @@ class PreparedTask:
             raise FmuError(
                 "this FMU cannot interpolate its inputs between communication points",
                 where=self._where,
-                fix='use interpolation = "hold", or an FMU for model exchange',
+                fix='use timing = "held", or an FMU for model exchange',
             )
         names = list(self.task.inputs)
         plan = self.plan
@@ -388,7 +393,7 @@ class PreparedTasks:
 
     def add(self, prepared: PreparedTask) -> None:
         """Remember another one."""
-        self._kept[id(prepared.task), prepared.names] = prepared
+        self._kept[id(prepared.asked), prepared.names] = prepared
         self._size += prepared.size
         while self._size > _MAX_PREPARED and len(self._kept) > 1:
             self._size -= self._kept.pop(next(iter(self._kept))).size

@@ -139,8 +139,8 @@ def _of_values(values: Mapping[str, float]) -> bytes:
 
 def _of_task(task: Task) -> bytes:
     digest = hashlib.blake2b(digest_size=16)
-    how = (task.interpolation, task.tolerance, sorted(task.inputs), task.linear, task.after)
-    digest.update(repr((task.outputs, *how)).encode())
+    how = (task.interpolation, task.tolerance, sorted(task.inputs), task.linear, task.band_limited, task.after)
+    digest.update(repr((task.outputs, *how, task.every)).encode())
     digest.update(_of_values(task.start_values))
     for direction in task.along:
         digest.update(b"|" + _of_values(direction))

@@ -22,6 +22,7 @@ import numpy as np
 
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
+from fmuid.simulation.band_limited import refined
 from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
 
 Length = float | Literal["auto"]
@@ -336,10 +337,12 @@ class Segmented:
 
     def _piece(self, task: Task, a: int, b: int, outputs: tuple[str, ...] | None = None) -> Task:
         along = tuple({s: 1.0} for s in self.states) + task.along if self.exact else ()
+        fine = refined(task, self.variables)
+        part = slice(fine.every * a, fine.every * (b - 1) + 1)
         return replace(
-            task,
-            time=task.time[a:b],
-            inputs={n: u[a:b] for n, u in task.inputs.items()},
+            fine,
+            time=fine.time[part],
+            inputs={n: u[part] for n, u in fine.inputs.items()},
             outputs=outputs or task.outputs,
             along=along,
         )

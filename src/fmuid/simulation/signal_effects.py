@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.immutable import FloatArray
-from fmuid.simulation.simulator import Task
+from fmuid.simulation.band_limited import refined
+from fmuid.simulation.simulator import Task, Variable
 
 NEUTRAL = {
     "offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0, "drift": 0.0, "dead_zone": 0.0,
@@ -153,9 +154,21 @@ class Disturbed:
 
     time: FloatArray
     inputs: Mapping[str, FloatArray]
+    _task: Task
     _samples: FloatArray
     _breaks: FloatArray
     _late: Mapping[int, Mapping[str, float]]
+
+    def task(self, *, linear: Collection[str] = (), shared: tuple[int, int] | None = None) -> Task:
+        """Return the task for the simulation, with further inputs that are `linear`."""
+        return replace(
+            self._task,
+            time=self.time,
+            inputs={**self._task.inputs, **self.inputs},
+            linear=(*self._task.linear, *linear),
+            every=1,
+            shared=shared,
+        )
 
     def readings(self, outcome: FloatArray, differentiated: Sequence[bool]) -> FloatArray:
         """Return the (C, N) outputs at the task's times, delayed where required.
@@ -192,6 +205,7 @@ def disturbed_task(
     *,
     any_times: bool,
     linear_drive: bool = False,
+    variables: Mapping[str, Variable],
 ) -> Disturbed:
     """Return the task with signal effects applied.
 
@@ -207,22 +221,28 @@ def disturbed_task(
     any_times
         Whether the model accepts additional communication points. Without them, a delayed input acts by its mean
         over each step, and outputs are interpolated linearly between samples.
+    variables
+        Variables of the model.
     """
-    linear = task.interpolation == "linear"
-    courses = {
-        n: disturbed_input(task.time, u, effects[n], linear=linear or n in task.linear, others=task.inputs)
-        for n, u in task.inputs.items()
-        if n in effects
-    }
-    courses |= {n: Course(task.time, u, linear or linear_drive) for n, u in drive.items()}
     late = {
         row: effects[name]
         for row, name in enumerate(outputs)
         if any(effects.get(name, {}).get(prop, 0.0) > 0.0 for prop in ("lag", "delay"))
     }
+    sampled = task
+    if late or not effects.keys().isdisjoint(task.inputs):
+        task = refined(task, variables)
+    linear, driven_linear = task.interpolation == "linear", linear_drive or task.interpolation != "hold"
+    courses = {
+        n: disturbed_input(task.time, u, effects[n], linear=linear or n in task.linear, others=task.inputs)
+        for n, u in task.inputs.items()
+        if n in effects
+    }
+    courses |= {n: Course(sampled.time, u, driven_linear) for n, u in drive.items()}
     if not any_times:
-        inputs = {n: c.on(task.time, average=True) for n, c in courses.items()}
-        return Disturbed(task.time, inputs, task.time, task.time, late)
+        time = sampled.time
+        inputs = {n: c.on(time, average=True) for n, c in courses.items()}
+        return Disturbed(time, inputs, sampled, time, time, late)
     delays = {effect["delay"] for effect in late.values() if effect.get("delay", 0.0) > 0.0}
     breaks = _joined(task.time, *(c.edges for c in courses.values()), *(task.time - d for d in delays))
     if len(breaks) == len(task.time):
@@ -234,7 +254,7 @@ def disturbed_task(
     if grid is not task.time:
         plain = {n: Course(task.time, u, linear or n in task.linear) for n, u in task.inputs.items()}
         courses = plain | courses
-    return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task.time, breaks, late)
+    return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task, sampled.time, breaks, late)
 
 
 def disturbed_readings(

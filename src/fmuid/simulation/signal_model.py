@@ -110,8 +110,10 @@ class SignalModel:
             task = replace(task, start_values=starts)
         if not effects:
             return self.simulator.simulate(task, plain)
-        disturbed = disturbed_task(task, effects, task.outputs, {}, any_times=takes_any_times(self.simulator))
-        inner = replace(task, time=disturbed.time, inputs={**task.inputs, **disturbed.inputs})
+        any_times = takes_any_times(self.simulator)
+        disturbed = disturbed_task(
+            task, effects, task.outputs, {}, any_times=any_times, variables=self.simulator.variables
+        )
         late = [name in self._differentiated for name in task.outputs]
-        shown = disturbed.readings(self.simulator.simulate(inner, plain), late)
+        shown = disturbed.readings(self.simulator.simulate(disturbed.task(), plain), late)
         return disturbed_readings(shown, task.outputs, effects, task.time, task.inputs)

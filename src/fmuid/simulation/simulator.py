@@ -72,7 +72,8 @@ class Task:
     start_values
         Values set before initialisation in every run (settings, initial states).
     interpolation
-        ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples.
+        ``hold``: input sample k acts on [t_k, t_{k+1}); ``linear``: between the samples; ``band-limited``: their
+        interpolation by a sinc, for inputs with an anti-aliasing filter, at even times.
     tolerance
         Relative tolerance passed to the FMU, or None for its default.
     along
@@ -81,6 +82,10 @@ class Task:
         rows. Only for simulators for which `differentiates` is true.
     linear
         Inputs that are interpolated although the others are held, for simulators for which `interpolates` is true.
+    band_limited
+        The same for inputs that are band-limited.
+    every
+        Communication points from one sample of the prediction to the next.
     shared
         The group of tasks that this one belongs to, and a sample: those of a group whose inputs are the same up to
         a sample may be simulated up to there together. None if it belongs to none.
@@ -102,6 +107,8 @@ class Task:
     linear: tuple[str, ...] = ()
     shared: tuple[int, int] | None = None
     after: tuple[str, ...] = ()
+    band_limited: tuple[str, ...] = ()
+    every: int = 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
@@ -138,7 +145,7 @@ class Simulator(Protocol):
         ...
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-        """Return predictions, shape (len(task.outputs), N).
+        """Return predictions, shape (len(task.outputs), N), with `Task.every` at every so many points only.
 
         Raises
         ------

@@ -359,9 +359,12 @@ def _case(
         time = np.concatenate([[2 * time[0] - time[1]], time])
         inputs = {name: np.append(values, values[-1]) for name, values in inputs.items()}
     timings = {model.variable(n): campaign.timings.get(n, model.timing) for n in first.inputs}
-    lines = tuple(n for n in inputs if timings.get(n, model.timing) == "linear")
-    whole = len(lines) == len(inputs) and model.timing == "linear"
-    kind: Interpolation = "linear" if whole else "hold"
+    lines, smooth = (
+        tuple(n for n in inputs if timings.get(n, model.timing) == how) for how in ("linear", "band-limited")
+    )
+    kind: Interpolation = "hold"
+    if model.timing in ("linear", "band-limited") and all(t == model.timing for t in timings.values()):
+        kind = model.timing
     late = [c for c in channels if campaign.timings.get(c.signal, model.timing) == "held-read-after"]
     task = Task(
         time,
@@ -369,7 +372,8 @@ def _case(
         tuple(c.variable for c in channels),
         known,
         kind,
-        linear=() if whole else lines,
+        linear=lines if kind == "hold" else (),
+        band_limited=smooth if kind == "hold" else (),
         after=tuple(dict.fromkeys(c.variable for c in late)),
     )
     setting = {}

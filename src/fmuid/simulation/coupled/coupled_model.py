@@ -20,6 +20,7 @@ from fmuid.core.coupling import Connection, Linear, Master, Place, Port
 from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation import resets
+from fmuid.simulation.band_limited import at_samples, refined
 from fmuid.simulation.coupled.connection_checks import check_connections, check_ports
 from fmuid.simulation.coupled.feedthrough import find_loop, loop_text, stepping_order
 from fmuid.simulation.coupled.layout import Layout, System, Wiring
@@ -188,8 +189,8 @@ class CoupledModel:
             layout = self._lay_out(task, parameters)
             values = self._by_component(parameters)
             if self._compared:
-                return self._simulate(layout, values)
-            return self._first(layout, values)
+                return at_samples(self._simulate(layout, values), layout.task)
+            return at_samples(self._first(layout, values), layout.task)
 
     def close(self) -> None:
         """Free the instances and remove extracted files; the next simulation extracts them again."""
@@ -268,11 +269,12 @@ class CoupledModel:
         key = id(task), tuple(parameters)
         layout = self._layouts.get(key)
         if layout is None:
-            if task.after or task.linear:
+            fine = refined(task, self._variables)
+            if fine.after or fine.linear:
                 raise FmuError(
                     "coupled FMUs have one timing for all signals, which are read before the inputs act",
                     where=self.path,
-                    fix='use timing = "held" or "linear"',
+                    fix='use timing = "held", "linear" or "band-limited"',
                 )
             starts = self._by_component({k: v for k, v in task.start_values.items() if k not in parameters})
             inputs = {name: self._driven_by(name) for name in task.inputs}
@@ -292,7 +294,8 @@ class CoupledModel:
             }
             layout = Layout(
                 self._wiring,
-                task,
+                fine,
+                asked=task,
                 inputs=inputs,
                 outputs=[self._shown_by(n) for n in task.outputs],
                 starts=merged,
@@ -301,7 +304,7 @@ class CoupledModel:
             )
             while self._layouts and sum(other.size for other in self._layouts.values()) > _MAX_LAYOUTS:
                 self._layouts.pop(next(iter(self._layouts)))
-            self._layouts[key] = layout  # keeps the task, and so its id, alive
+            self._layouts[key] = layout  # keeps `task`, and so its id, alive
         return layout
 
     def _all_differentiate(self, names: Collection[str]) -> bool:

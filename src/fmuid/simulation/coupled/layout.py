@@ -152,13 +152,14 @@ class Layout:
         wiring: Wiring,
         task: Task,
         *,
+        asked: Task,
         inputs: Mapping[str, Sequence[tuple[Place, Linear]]],
         outputs: Sequence[tuple[Place, Linear]],
         starts: Mapping[str, Mapping[str, float]],
         along: Mapping[str, Sequence[Mapping[str, float]]],
         where: object,
     ) -> None:
-        self.task = task
+        self.task, self.asked = task, asked
         self._loops = wiring.loops
         self._kept: list[Any] = []  # arrays the system points into
         names = list(wiring.components)
