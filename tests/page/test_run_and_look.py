@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("nicegui", reason="needs the extra [page]")
+expect = pytest.importorskip("playwright.sync_api", reason="needs the package playwright").expect
 pytestmark = pytest.mark.browser
 
 Opened = Callable[..., str]
@@ -57,6 +58,7 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
     look = page.get_by_role("tabpanel", name="Look")
     look.get_by_text(re.compile("G = ")).wait_for()
     said = look.get_by_text(re.compile("RMS of the residual"))
+    expect(said).to_have_text(re.compile("probe: [0-9.]+ degC"))
     before = said.inner_text()
     slider = look.get_by_role("slider", name="C", exact=True)
     slider.focus()
@@ -67,7 +69,7 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
         "(e) => e.textContent.startsWith('RMS') && e.textContent !== before)",
         arg=before,
     )
-    rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) °C", before + said.inner_text())]
+    rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) degC", before + said.inner_text())]
     assert rms[1] > rms[0]
     milliseconds = float(re.search(r"in (\d+) ms", said.inner_text())[1])  # type: ignore[index]
     assert milliseconds < 2000
