@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmuid.core.campaign import Campaign
-from fmuid.core.errors import CampaignError, FmuidError
+from fmuid.core.errors import CampaignError, FmuidError, SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
@@ -20,15 +20,18 @@ from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.log_timing import with_timing_of_log
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.unit_to_unit import between_machines
 from fmuid.diagnosis.varying import course_of
-from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Verdict
+from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Rest, Verdict
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
+from fmuid.discovery.learned_table import Tabulated, tabulate
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.result import Result
 from fmuid.simulation.model_source import flat_model
@@ -155,14 +158,18 @@ def diagnose(
             found = diagnose_subject(subject, seed=seed, calibration=calibration.kept(key))
             found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
         discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
+        added: Candidate | Tabulated | None = None
         if discovery is not None:
-            found = _with_law(found, discovery.found)
+            found, added = _with_law(found, discovery.found), discovery.best
+        if law and added is None:
+            added = tabulate(found, campaign.models, load_simulator, say=say, seed=seed)
+            found = found if added is None else _with_table(found, added)
         say("comparing machines", 0.968)
         found = replace(found, diagnosis=replace(found.diagnosis, machines=_machines(found)))
         found = replace(found, rehearsal=tuple(rehearsal))
         if folder is not None:
             say("drawing", 0.97)
-            _write(found, campaign, folder, seed, None if discovery is None else discovery.best)
+            _write(found, campaign, folder, seed, added)
     # The workers have ended, so any further simulation runs in this process.
     model = replace(found.subject.model, runner=in_process)
     return replace(found, subject=replace(found.subject, model=model))
@@ -244,9 +251,9 @@ def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     recordings = found.subject.recordings
     if campaign is not None and campaign.file is not None:
         answer["campaign"] = str(campaign.file)
-        law = found.diagnosis.law_found
-        named = [*law.beside, law.id] if law is not None and law.id else found.corrected.effects
-        answer["corrected"] = list(named)
+        best = found.diagnosis.best
+        ids = () if best is None else (*best.effects, *(r.id for r in best.refinements))
+        answer["corrected"] = list(dict.fromkeys(ids))
     if found.rehearsal:
         answer["rehearsal"] = [trial.to_dict() for trial in found.rehearsal]
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
@@ -308,6 +315,29 @@ def _with_law(found: Found, law: LawFound) -> Found:
     return replace(found, diagnosis=diagnosis)
 
 
+def _with_table(found: Found, table: Tabulated) -> Found:
+    """Return a diagnosis whose best explanation has a table; a law that it refines has its refined parameters."""
+    best, diagnosis = table.best, found.diagnosis
+    rest, refines = diagnosis.verdict.rest, not any(r.learned for r in best.refinements)
+    if rest is not None and refines:
+        rest = Rest(best.gap, rest.where) if best.gap > GAP_THAT_MATTERS else None
+    effects = tuple(
+        replace(e, parameters=dict(e.parameters) | {n: p for n, p in best.parameters.items() if n in e.parameters})
+        if refines and e.id in best.effects
+        else e
+        for e in diagnosis.effects
+    )
+    diagnosis = replace(
+        diagnosis,
+        verdict=replace(diagnosis.verdict, rest=rest),
+        best=best,
+        gap=replace(diagnosis.gap, corrected=best.gap),
+        model={**table.subject.model.expanded(table.fitted.fit.values)},
+        effects=effects,
+    )
+    return replace(found, diagnosis=diagnosis)
+
+
 def _drawing(campaign: Campaign, found: Found) -> Drawing | None:
     """Return the picture of the first model that contains the verdict's place, or of the first if none does."""
     from fmuid.report.model_graph import drawing, graph_of
@@ -321,7 +351,7 @@ def _drawing(campaign: Campaign, found: Found) -> Drawing | None:
 
 
 def _write(
-    found: Found, campaign: Campaign, out: Path, seed: int, law: Candidate | None = None
+    found: Found, campaign: Campaign, out: Path, seed: int, law: Candidate | Tabulated | None = None
 ) -> Corrected | None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_arrays import pictures_of
@@ -343,7 +373,7 @@ def _write(
         answer,
         out,
         campaign=campaign.title,
-        pictures=pictures_of(found),
+        pictures=pictures_of(found, _predicted(law)),
         model=_drawing(campaign, found),
         units={n: p.unit for n, p in campaign.parameters.items() if p.unit},
         provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
@@ -351,7 +381,15 @@ def _write(
     return corrected
 
 
-def _write_corrected(found: Found, campaign: Campaign, out: Path, law: Candidate | None) -> Corrected | None:
+def _predicted(added: Candidate | Tabulated | None) -> Prediction | None:
+    """Return the prediction of a model with a law or a table that was added."""
+    outcome = None if added is None else added.subject.model.predict([added.fitted.fit.values])[0]
+    return None if isinstance(outcome, SimulationError) else outcome
+
+
+def _write_corrected(
+    found: Found, campaign: Campaign, out: Path, law: Candidate | Tabulated | None
+) -> Corrected | None:
     """Write the model with the best explanation, simulate it, and compare it with the fitted prediction."""
     fitted, subject = found.corrected, found.subject
     if law is not None:

@@ -51,7 +51,12 @@ def test_a_law_depends_only_on_what_every_run_has():
     def case(**inputs):
         variables = dict.fromkeys([*own, *inputs], SimpleNamespace(unit="1"))
         return SimpleNamespace(
-            time=TIME, lead=0, task=SimpleNamespace(inputs=inputs), simulator=SimpleNamespace(variables=variables)
+            time=TIME,
+            lead=0,
+            task=SimpleNamespace(inputs=inputs),
+            simulator=SimpleNamespace(variables=variables),
+            channels=(),
+            columns={},
         )
 
     cases = case(tau=RATES[0]), case(tau=RATES[1], w_ref=RATES[1])

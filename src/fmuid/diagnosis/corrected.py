@@ -114,7 +114,8 @@ def difference(written: Corrected, subject: Subject, fitted: Fitted, *, runner: 
     chosen = [campaign.measurements[case.id] for case in cases]
     simulators = {case.setup: load_simulator(campaign.models[case.setup]) for case in cases}
     again = {case.id: case for case in in_segments(campaign, chosen, simulators, campaign.start_values)}
-    same = tuple(replace(again[case.id], task=case.task, lead=case.lead) for case in cases)
+    fitted_to = {case.id: case.with_model(again[case.id].simulator).task for case in cases}
+    same = tuple(replace(again[case.id], task=fitted_to[case.id], lead=case.lead) for case in cases)
     outcomes = [
         *subject.model.predict([fitted.fit.values]),
         *CampaignModel(same, runner, campaign.start_values).predict([{}]),

@@ -219,7 +219,7 @@ def diagnose_subject(
     candidates = [fitted for fitted in found.candidates if firsts[id(fitted)] is fitted]
     best = None if found.best is None else firsts.get(id(found.best), found.best)
     found = replace(found, candidates=candidates, best=best)
-    closing = _Closing(subject, nominal, evidence.null)
+    closing = Closing(subject, nominal, evidence.null)
     judgement = _judge(subject, found, closing, say)
     say("deciding", 0.95)
     weights = decide.weigh(
@@ -410,7 +410,7 @@ def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], 
     return replace(judgement, verdict=verdict, surviving=surviving)
 
 
-def _explaining(found: _Searched, closing: _Closing) -> Fitted | None:
+def _explaining(found: _Searched, closing: Closing) -> Fitted | None:
     """Return the model that closes most of the gap on left-out data; None if none closes anything."""
     if not found.evidence.present:
         return None
@@ -451,7 +451,7 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     return Evidence(present, p_value, null, power)
 
 
-def _judge(subject: Subject, found: _Searched, closing: _Closing, say: Say) -> Judgement:
+def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Judgement:
     """Return the verdict: the surviving answers, the evidence of free functions against them, and the rest."""
     observed, nominal, paths = subject.observed, found.nominal, found.paths
     evidence = found.evidence
@@ -592,7 +592,7 @@ def _where_left(
 
 
 @dataclass(frozen=True, eq=False)
-class _Closing:
+class Closing:
     """How far models close the gap that the refitted nominal one leaves."""
 
     subject: Subject
@@ -601,6 +601,7 @@ class _Closing:
     _known: dict[int, tuple[Fitted, Closure]] = field(default_factory=dict, init=False, repr=False)
 
     def __call__(self, fitted: Fitted) -> Closure:
+        """Return how far a model closes the gap."""
         if id(fitted) not in self._known:
             nominal = self.nominal
             closed = Closure(
@@ -669,7 +670,7 @@ def _candidates(
     surviving: Sequence[Fitted],
     scores: Sequence[Score],
     probability: Mapping[tuple[str, ...], float],
-    closing: _Closing,
+    closing: Closing,
 ) -> tuple[Candidate, ...]:
     # An effect is credited with its own closure; the effects of an answer, with their joint closure.
     best_with = {fitted.effects[0]: fitted for fitted in candidates if len(fitted.effects) == 1}

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from fmuid.core.formatting import Fact, interval_text, range_text
 from fmuid.diagnosis.decide import CLOSURE_THAT_NAMES, SIGNIFICANCE
 
@@ -99,7 +101,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
     p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
     found.append(Fact("Is there a gap", f"{_gap_text(gap)} ({p_value})"))
-    corrected = f" → {gap['corrected']:.3g} corrected" if named(verdict) else ""
+    corrected = f" → {gap['corrected']:.3g} corrected" if named(verdict) or diagnosis.get("refinements") else ""
     sizes = f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted{corrected}"
     found.append(Fact("Gap, in noise floors", sizes))
     for answer in diagnosis["answers"] if named(verdict) else ():
@@ -115,6 +117,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     if verdict["kind"] == "unknown" or (verdict["kind"] == "insufficient" and gap["present"]):
         found += _closest(diagnosis)
     found += _law_found(diagnosis)
+    found += _tables(diagnosis)
     if verdict.get("provisional"):
         found.append(Fact("How sure", _provisional(diagnosis), "warn"))
     if verdict["kind"] == "insufficient":
@@ -132,7 +135,9 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
         if verdict["kind"] == "ambiguous":
             with_what = f"With {_listed(best['effects'], 'and')}"
         lines.append(f"{with_what}, {_reduction(best['closure'])}.")
-    elif diagnosis.get("best"):
+    tables = diagnosis.get("refinements") or ()
+    lines += [_of_table(table, diagnosis["best"]) for table in tables]
+    if not (named(verdict) and best is not None) and diagnosis.get("best") and not tables:
         explained = diagnosis["best"]
         lines.append(
             f"The best explanation is {_listed(explained['effects'], 'with')}: with it,"
@@ -153,6 +158,20 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
             f" ({low:.2f} to {high:.2f})."
         )
     return lines
+
+
+def _of_table(table: Mapping[str, Any], best: Mapping[str, Any]) -> str:
+    """Return a sentence on a table and what the model with it predicts."""
+    over, reduction = table["variable"], _reduction(best["closure"])
+    if not table["learned"]:
+        return (
+            f"The plant's law has another shape than {in_words(table['law'])}: with a table over {over} that"
+            f" refines it, {reduction}."
+        )
+    others = [name for name in best["effects"] if name != table["id"]]
+    beside = f" beside {_listed(others, 'and')}" if others else ""
+    where = f"{table['port']} over {over}{beside}"
+    return f"A table learned at {where} predicts it, which is no law: with it, {reduction}."
 
 
 def _reduction(closure: Mapping[str, Any]) -> str:
@@ -246,6 +265,24 @@ def _law_found(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     )
 
 
+def _tables(diagnosis: Mapping[str, Any]) -> list[Fact]:
+    """Return the tables of the best explanation, and what it closes with them."""
+    tables = diagnosis.get("refinements") or ()
+    found = []
+    for table in tables:
+        sizes = np.abs(np.array(table["table"]["values"]))
+        reached = " and ".join(
+            f"{a['variable']} from {a['knots'][0]:.4g} to {a['knots'][-1]:.4g} {a['unit']}"
+            for a in table["table"]["axes"]
+        )
+        label = "Learned table" if table["learned"] else f"Table that refines {in_words(table['law'])}"
+        most = f"{sizes.max():.3g} {table['table']['unit']}"
+        found.append(Fact(label, f"{sizes.size} values up to {most} at {table['port']}, for {reached}"))
+    if tables:
+        found.append(Fact("Closed on held-out data with the table", closure_text(diagnosis["best"]["closure"])))
+    return found
+
+
 def _beside(law: Mapping[str, Any]) -> str:
     return f" beside {_listed(law['beside'], 'and')}" if law.get("beside") else ""
 
@@ -253,7 +290,11 @@ def _beside(law: Mapping[str, Any]) -> str:
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return the closest explanation if none is named."""
     best, found = diagnosis.get("best"), []
-    if best is None:
+    if diagnosis.get("refinements"):
+        closing = [e | {"effects": [e["id"]]} for e in diagnosis["effects"] if e.get("closure")]
+        closing += [a for a in diagnosis["answers"] if a.get("closure")]
+        best = max(closing, key=lambda e: float(e["closure"]["held_out"]), default=None)
+    if best is None or best["closure"]["held_out"] <= 0.0:
         found.append("nothing in the catalogue closes a part of it on left-out data")
     else:
         too_little = best["closure"]["held_out"] < CLOSURE_THAT_NAMES

@@ -164,9 +164,11 @@ def validate_diagnosis(
 
     diagnosed = with_catalogue(campaign, load_simulator, runner=runner)  # its runs give the effects their sizes
     law = law_of(answer)
-    if law is not None:
-        with_law = with_effect(diagnosed, law["id"], law["effect"])
-        diagnosed = with_catalogue(with_law, load_simulator, runner=runner)
+    added = [*([] if law is None else [law]), *answer.get("refinements", ())]
+    for one in added:
+        diagnosed = with_effect(diagnosed, one["id"], one["effect"])
+    if added:
+        diagnosed = with_catalogue(diagnosed, load_simulator, runner=runner)
     campaign = replace(others or campaign, effects=diagnosed.effects, models=diagnosed.models)
     chosen, used = _chosen(answer, campaign, experiments)
     model, catalogue, known, _ = model_of(campaign, load_simulator, chosen, runner=runner)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -154,27 +154,52 @@ class Closure:
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """A smooth table that corrects the shape of a law, over the law's own variable at its own port.
+    """A table in the model: it corrects the shape of a law, or is learned where no law holds.
 
     Attributes
     ----------
     effect
-        Id of the effect whose law it refines; its JSON name is ``law``.
-    x, y
-        (n,) knots of the variable, and what the table adds to the law there.
+        Id of the effect whose law it refines, over the law's own variable at its own port, or its own id if it is
+        learned; its JSON name is ``law``.
+    id
+        Id of the table as an effect of the corrected model.
+    variables, units
+        What it is over: one variable, or two.
+    knots
+        Its knots, by variable.
+    values
+        What it adds at the knots; of two variables, nested lists.
+    unit
+        Unit of the values.
+    entry
+        The table as an effect of a catalogue.
     """
 
     effect: str
+    id: str
     port: str
-    variable: str
-    x: tuple[float, ...]
-    y: tuple[float, ...]
+    variables: tuple[str, ...]
+    units: tuple[str, ...]
+    knots: tuple[tuple[float, ...], ...]
+    values: Sequence[Any]
     unit: str = ""
+    entry: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def learned(self) -> bool:
+        """Whether it stands for itself, and refines no law."""
+        return self.effect == self.id
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
-        table = {"x": list(self.x), "y": list(self.y), "unit": self.unit}
-        return {"law": self.effect, "port": self.port, "variable": self.variable, "table": table}
+        axes = [
+            {"variable": name, "unit": unit, "knots": list(knots)}
+            for name, unit, knots in zip(self.variables, self.units, self.knots, strict=True)
+        ]
+        table = {"axes": axes, "values": list(self.values), "unit": self.unit}
+        variable = " and ".join(self.variables)
+        about = {"id": self.id, "law": self.effect, "learned": self.learned, "port": self.port}
+        return {**about, "variable": variable, "table": table, "effect": dict(self.entry)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +218,8 @@ class Best:
         By experiment and signal, the errors on left-out data before and after.
     parameters
         Parameters of the effects.
+    refinements
+        Tables that refine the effects' laws, or that are learned and are then also among the effects.
     """
 
     effects: tuple[str, ...]

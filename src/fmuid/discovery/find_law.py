@@ -24,7 +24,7 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
-from fmuid.discovery.injected import Law, entry, of_second_order, with_laws
+from fmuid.discovery.injected import Law, entry, free_name, of_second_order, with_laws
 from fmuid.discovery.places import Spot, spot
 from fmuid.discovery.selection import Chosen, Proposal, choose, instead
 from fmuid.discovery.terms import HIDDEN, evaluated, names_in
@@ -33,7 +33,7 @@ from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
-_LEFT = 1.0  # noise floors that a law may leave: beyond, its rest is seen in a single run, and it is not the law
+LEFT = 1.0  # noise floors that a law may leave: beyond, its rest is seen in a single run, and it is not the law
 _PLACES = 4  # number of places examined: those where a course over time is likeliest
 _TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
 _LED_OUT = 2  # laws that are approached over growing horizons: those that fit best
@@ -108,7 +108,7 @@ def find_law(
             if effect and best is not None and not decide.worth_adding(named[0], best.fitted):
                 reason = reason or "no law explains the gap much better than the effects of the verdict"
             if best is not None and not reason:
-                best = search.named(search.pruned(best))
+                best = search.named(replace(best, fitted=pruned(best.subject, best.fitted)))
                 return Discovery(search.described(best, seed), best)
         except (FmuidError, UserError) as error:  # a model that cannot be built or simulated yields no law
             reason = str(error)
@@ -119,6 +119,15 @@ def find_law(
 def _noise(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
     (predicted,) = subject.model.predict([fitted.fit.values])
     return draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
+
+
+def pruned(subject: Subject, fitted: Fitted) -> Fitted:
+    """Leave out the effects that the last one has made unnecessary."""
+    for name in fitted.effects[:-1]:
+        simpler = without(subject, fitted, name)
+        if simpler is not None and (simpler.gap <= GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)):
+            fitted = simpler
+    return fitted
 
 
 def _likeliest(chosen: Sequence[Chosen]) -> list[Chosen]:
@@ -305,7 +314,7 @@ class _Search:
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
             return f"{text}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
         left = f"{text}, but leaves {law.fitted.gap:.2g} times the noise"
-        if law.fitted.gap > _LEFT:
+        if law.fitted.gap > LEFT:
             return left
         if not self.finished(law) and likelier(self.found.entered, self.found.nominal, law.fitted):
             return f"{left}, and something else is far likelier"
@@ -325,24 +334,10 @@ class _Search:
         fitted = fit_effects(subject, subject.effects, [law.fitted.fit.values])
         return fitted is None or decide.log_odds(law.fitted, fitted, subject.observed) >= np.log(decide.OPEN)
 
-    def pruned(self, law: Candidate) -> Candidate:
-        """Leave out the effects that a law has made unnecessary."""
-        fitted = law.fitted
-        for name in law.fitted.effects[:-1]:
-            simpler = without(law.subject, fitted, name)
-            if simpler is not None and (
-                simpler.gap <= GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)
-            ):
-                fitted = simpler
-        return replace(law, fitted=fitted)
-
     def named(self, law: Candidate) -> Candidate:
         """Return a law with its final names."""
         values, spot = law.fitted.fit.values, law.law.spot
-        # A model that has laws of earlier diagnoses keeps their names.
-        taken = {n for flat in self.flats.values() for n in flat.variables}
-        words = (f"law{k or ''}" for k in (0, *range(2, len(taken) + 3)))
-        name = next(w for w in words if not any(n.startswith(f"{spot.port.name}.{w}_") for n in taken))
+        name = free_name(self.flats.values(), spot.port.name, "law")
         final = replace(law.law, spot=self.along(law), base=f"{spot.port.name}.{name}")
         before = {u.name: values[u.name] for u in law.effect.unknowns}
         after = final.effect("", "").unknowns

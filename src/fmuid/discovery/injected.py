@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from fmu_build.errors import ModelicaError
+from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import State
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.immutable import FloatArray
@@ -137,6 +138,13 @@ class Law:
         )
 
 
+def free_name(flats: Iterable[FlatModel], port: str, word: str) -> str:
+    """Return a name for a law at a port: a model that has laws of earlier diagnoses keeps their names."""
+    taken = {n for flat in flats for n in flat.variables}
+    words = (f"{word}{k or ''}" for k in (0, *range(2, len(taken) + 3)))
+    return next(w for w in words if not any(n.startswith(f"{port}.{w}_") for n in taken))
+
+
 def _put_in(text: str, names: Mapping[str, str]) -> str:
     return re.sub(r"(?<![\w.])[A-Za-z_]\w*(?![\w.(])", lambda m: names.get(m.group(), m.group()), text)
 
@@ -154,6 +162,7 @@ def entry(effect: Effect) -> dict[str, Any]:
         "variant": effect.variant,
         "trials": [dict(t) for t in effect.trials],
         **({"states": states} if states else {}),
+        **({"inputs": dict(effect.inputs)} if effect.inputs else {}),
         "parameters": {
             u.name: {
                 "start" if u.name in effect.shapes else "neutral": effect.neutral[u.name],
@@ -161,6 +170,7 @@ def entry(effect: Effect) -> dict[str, Any]:
                 "upper": u.upper,
                 "step": u.step,
                 "unit": effect.units[u.name],
+                **({"sd": u.sd} if np.isfinite(u.sd) else {}),
             }
             for u in effect.unknowns
         },
@@ -204,8 +214,7 @@ def with_laws(
     for why, (id, *_) in left_out([models[setup] for setup in simulators], catalogue, variables).items():
         raise ModelicaError(f"the model cannot be built with '{id}': {why}")
     cases = tuple(
-        replace(case, simulator=in_place_of(case.simulator, simulators[case.setup]))
-        for case in subject.model.cases
+        case.with_model(in_place_of(case.simulator, simulators[case.setup])) for case in subject.model.cases
     )
     model = replace(subject.model, cases=cases, variant=lambda _, __: None)
     return replace(subject, model=model, catalogue=catalogue, effects=(*kept.values(), *laws))

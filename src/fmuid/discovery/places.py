@@ -34,6 +34,10 @@ class Spot:
         (N,) times of these samples.
     terms
         Terms that a law there may contain.
+    quantities
+        What a table there may be over: quantities at the place, inputs, measured outputs and potentials elsewhere.
+    around
+        (N,) samples of all these, one mapping per experiment.
     """
 
     port: Port
@@ -41,6 +45,8 @@ class Spot:
     courses: tuple[Mapping[str, FloatArray], ...]
     time: tuple[FloatArray, ...]
     terms: tuple[Term, ...]
+    quantities: tuple[Quantity, ...] = ()
+    around: tuple[Mapping[str, FloatArray], ...] = ()
 
 
 def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
@@ -50,20 +56,24 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
     if port is None or port.kind not in ("node", "branch"):
         return None
     load = _load_probe(port, list(ports.values())) if port.domain in MECHANICAL else ()
-    wanted = [n for group in (*port.probes.values(), load, names_at(port)) for n in group]
+    elsewhere = [c.variable for case in model.cases for c in case.channels]
+    elsewhere += [n for p in ports.values() for kind in ("p", "rate") for n in p.probes.get(kind, ())]
+    wanted = [n for group in (*port.probes.values(), load, names_at(port), elsewhere) for n in group]
     known = set.intersection(*(set(case.simulator.variables) for case in model.cases))
     wanted = [n for n in dict.fromkeys(wanted) if n in known]
     rows = model.trajectories(values, wanted)
-    courses, flows = [], []
+    courses, around, flows = [], [], []
     for case, row in zip(model.cases, rows, strict=True):
         course = dict(zip(wanted, row, strict=True))
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
         courses.append(_local(port, load, course, case.time) | driven)
+        columns = {n: u for n, (_, u) in case.columns.items()}
+        around.append(columns | courses[-1] | {n: course[n] for n in elsewhere if n in known - courses[-1].keys()})
         flows += [float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course]
         flows.append(largest_flow(port, course, case.time))
     everywhere = set.intersection(*map(set, courses))  # setups may differ in their inputs
     courses = [{n: c for n, c in course.items() if n in everywhere} for course in courses]
-    if "p" not in everywhere or max(flows, default=0.0) == 0.0:
+    if everywhere.isdisjoint({"p", "rate"}) or max(flows, default=0.0) == 0.0:
         return None
     free_inputs = [n for n in model.cases[0].task.inputs if n.isidentifier() and n not in port.quantities]
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
@@ -71,7 +81,15 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
     inputs = [q for n in free_inputs if (q := _quantity(n, n, units.get(n, "1"), courses)) is not None]
     time = tuple(case.time for case in model.cases)
     terms = _distinct(library(own, inputs, time), courses, time)
-    return Spot(port, max(flows), tuple(courses), time, tuple(terms))
+    here = [*(q.name for q in (*own, *inputs)), *around[0]]
+    shared = [n for n in dict.fromkeys(here) if all(n in one for one in around)]
+    potential, flow = port.units
+    units |= {n: unit for n, (unit, _) in model.cases[0].columns.items()}
+    units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow}
+    quantities = [q for n in shared if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
+    return Spot(
+        port, max(flows), tuple(courses), time, tuple(terms), tuple(_apart(quantities, around)), tuple(around)
+    )
 
 
 def _load_probe(port: Port, ports: Sequence[Port]) -> tuple[str, ...]:
@@ -110,7 +128,7 @@ def _local(
 
 def _quantities(port: Port, courses: Sequence[Mapping[str, FloatArray]]) -> list[Quantity]:
     potential, flow = port.units
-    start, p = float(courses[0]["p"][0]), "p"
+    start, p = float(courses[0].get("p", [0.0])[0]), "p"
     if port.domain == "thermal" and port.kind == "node" and start != 0.0:
         p = f"(p - {start:.6g})"  # above its start value
     position = _POSITION.get(port.domain, "value") if port.kind == "node" else "value"
@@ -159,3 +177,15 @@ def _distinct(
         known[len(kept)] = course
         kept.append(term)
     return kept
+
+
+def _apart(quantities: Sequence[Quantity], courses: Sequence[Mapping[str, FloatArray]]) -> list[Quantity]:
+    """Return the quantities that are not, up to a factor and a shift, another one before them."""
+    found: list[tuple[Quantity, FloatArray]] = []
+    for quantity in quantities:
+        course = np.concatenate([c[quantity.name] for c in courses])
+        course = course - course.mean()
+        course /= np.linalg.norm(course)
+        if all(abs(float(course @ other)) < 1.0 - _SAME for _, other in found):
+            found.append((quantity, course))
+    return [quantity for quantity, _ in found]

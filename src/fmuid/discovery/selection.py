@@ -24,7 +24,7 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import Term
 
-_DRIVEN = 0.05  # size at which a term's response is taken, as a share of the flow at the port
+DRIVEN = 0.05  # size at which a term's response is taken, as a share of the flow at the port
 _JUDGED = 40  # terms per place that are judged on held-out experiments
 _INSTEAD = 6  # terms that are tried in place of a law
 _BEGUN, _PARTNERS = 6, 4  # terms from which pairs are made, and partners tried for each
@@ -118,7 +118,7 @@ def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
 
 def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
     observed, model = subject.observed, subject.model
-    port = replace(subject.catalogue.ports[spot.port.name], magnitude=_DRIVEN * spot.flow)
+    port = replace(subject.catalogue.ports[spot.port.name], magnitude=DRIVEN * spot.flow)
     assert port.input is not None
     time = [case.time for case in model.cases]
     courses = tuple(tuple(t.course(c, s) for c, s in zip(spot.courses, time, strict=True)) for t in spot.terms)
@@ -147,7 +147,7 @@ def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:
 def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column], drop: float) -> Chosen:
     joined = tuple(np.hstack(parts) for parts in zip(*(c.parts for c in columns), strict=True))
     (decoy,) = fit_decoys([Response("law", joined)], base, subject.observed)
-    sizes = tuple(_DRIVEN * spot.flow * float(a) for a in decoy.amounts)
+    sizes = tuple(DRIVEN * spot.flow * float(a) for a in decoy.amounts)
     return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out, drop)
 
 

@@ -263,3 +263,15 @@ def _with_state(x: Quantity, y: Quantity, time: Sequence[FloatArray]) -> Iterato
                 shapes = {"lag": Shape(float(lag), shortest, 3.0 * longest, "s")}
                 yield Term(text, _STATE, x, shapes, f"({heat} - {HIDDEN})/lag")
             yield Term(text, _STATE, x, {}, f"{heat}/{longest:g}")
+
+
+def table(x: Quantity, knots: FloatArray) -> list[Term]:
+    """Return the functions of a quantity that are 1 at one of the knots, 0 at the others, and lines between them.
+
+    Beyond the knots they are constant.
+    """
+    at = [f"({k:.12g})" if k < 0.0 else f"{k:.12g}" for k in knots]
+    falls = [f"({b} - {x.text})/{d:.12g}" for b, d in zip(at[1:], np.diff(knots), strict=True)]
+    rises = [f"({x.text} - {a})/{d:.12g}" for a, d in zip(at, np.diff(knots), strict=False)]
+    sides = zip(["1", *rises], [*falls, "1"], strict=True)
+    return [Term(f"max(0, min({rise}, {fall}))", _PLAIN, x) for rise, fall in sides]

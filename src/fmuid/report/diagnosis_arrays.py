@@ -38,8 +38,10 @@ _SAME = 1e-6  # share of their range by which two variables differ that are one
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
 
 
-def pictures_of(found: Found) -> DiagnosisPictures:
+def pictures_of(found: Found, corrected: Prediction | None = None) -> DiagnosisPictures:
     """Return the arrays behind the figures of a diagnosis; simulates the campaign about sixty times.
+
+    `corrected` is the prediction of a model with a law or a table that is in no answer.
 
     Raises
     ------
@@ -57,7 +59,7 @@ def pictures_of(found: Found) -> DiagnosisPictures:
         for model, outcome in zip(models, with_effects, strict=True)
         if not isinstance(outcome, SimulationError)
     }
-    after = next(iter(laws.values()), None)
+    after = next(iter(laws.values()), None) if corrected is None else corrected
     missing = _coefficients(found) or _curves(found) or _missing(found, nominal, laws)
     return DiagnosisPictures(_overlays(found, nominal, after), _excess(found), missing, _steps(found))
 

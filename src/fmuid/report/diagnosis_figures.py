@@ -285,7 +285,7 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
         Bar("nominal model", gap["nominal"], "start"),
         Bar("nominal parameters refitted", gap["nominal_refit"], "before"),
     ]
-    if named(diagnosis["verdict"]):
+    if named(diagnosis["verdict"]) or diagnosis.get("refinements"):
         bars += [Bar(f"with {names}", left, "alternative") for names, left in (steps or {}).items()]
         bars.append(Bar("corrected", gap["corrected"], "final"))
     bars.append(Bar("as large as the noise", 1.0, "floor"))
@@ -322,6 +322,25 @@ def law_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
     panel = Panel(law["port"], Axis(f"{curve['variable']} at {law['port']}{at}", curve["unit"]), quantity, (line,))
     caption = f"A flow of {law['formula']}, over the range that these runs reached{at}."
     return LineFigure("law-found", "The law found", (panel,), caption)
+
+
+def tables_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
+    """Return the tables of the best explanation over their first variable, a line for each value of the second."""
+    panels = []
+    for one in diagnosis.get("refinements") or ():
+        (x, *others), values = one["table"]["axes"], np.array(one["table"]["values"])
+        rows = values.T if others else [values]
+        labels = [f"{o['variable']} = {at:.4g} {o['unit']}" for o in others for at in o["knots"]] or [one["id"]]
+        lines = [
+            Series(label, np.array(x["knots"]), row, _LAWS[min(k, len(_LAWS) - 1)])
+            for k, (label, row) in enumerate(zip(labels, rows, strict=True))
+        ]
+        quantity = Axis(f"{'learned' if one['learned'] else 'added'} at {one['port']}", one["table"]["unit"])
+        panels.append(Panel(one["id"], Axis(x["variable"], x["unit"]), quantity, tuple(lines)))
+    if not panels:
+        return None
+    caption = "What the table adds at its place. It holds only between its knots, where the runs were."
+    return LineFigure("tables", "The table", tuple(panels), caption)
 
 
 def law_table(diagnosis: Mapping[str, Any]) -> Table | None:

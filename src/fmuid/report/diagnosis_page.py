@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fmuid.diagnosis.summary import facts, indistinct, machine_lines, sentences
+from fmuid.diagnosis.summary import facts, in_words, indistinct, machine_lines, sentences
 from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
 from fmuid.report.document import Document, Drawing, Item, Section, write_document
@@ -83,6 +83,7 @@ def write_diagnosis_report(
             _present(pictures_of.law_figure(diagnosis), pictures_of.law_table(diagnosis)),
             _law(diagnosis),
         ),
+        Section("A table", _present(pictures_of.tables_figure(diagnosis)), " ".join(_tables(diagnosis))),
         Section("Between machines", _present(pictures_of.machines_table(diagnosis)), _machines(diagnosis)),
         Section("Next experiment", (), f"{_next_experiment(diagnosis)} {_added_sensor(diagnosis)}".strip()),
         Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
@@ -112,6 +113,12 @@ def _law(diagnosis: Mapping[str, Any]) -> str:
     if not law["formula"]:
         return f"None: {law['reason']}."
     return f"In Modelica, a flow at {law['port']}: {law['modelica']}."
+
+
+def _tables(diagnosis: Mapping[str, Any]) -> Iterator[str]:
+    for table in diagnosis.get("refinements") or ():
+        what = "Learned" if table["learned"] else f"A refinement of {in_words(table['law'])}"
+        yield f"{what}; in the corrected model, it is `{table['id']}`."
 
 
 def _machines(diagnosis: Mapping[str, Any]) -> str:

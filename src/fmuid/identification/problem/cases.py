@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -108,7 +108,8 @@ class Case:
 
     `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to the
     variable's; other parameters do not affect this model. The model's first `lead` samples come before the first
-    measured one.
+    measured one. `columns` are the (N,) means over repeats, with their units, of the logged columns that the plain
+    model does not use, by the names of the inputs that they become.
     """
 
     id: str
@@ -121,12 +122,24 @@ class Case:
     setup: str = ""
     lead: int = 0
     machine: str = ""
+    columns: Mapping[str, tuple[str, FloatArray]] = field(default_factory=dict)
     _reached: dict[tuple[str, ...], tuple[_Set, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def time(self) -> FloatArray:
         """(N,) times of the measured samples, s."""
         return self.task.time[self.lead :]
+
+    def with_model(self, simulator: Simulator) -> Case:
+        """Return the case with another model, whose inputs are the same but for the columns that it uses."""
+        inputs = {n: u for n, u in self.task.inputs.items() if not n.startswith(LOGGED)}
+        used = {n: u for n, (_, u) in self.columns.items() if n in simulator.variables}
+        inputs |= {n: np.append(u, np.full(self.lead, u[-1])) for n, u in used.items()}
+        lines, smooth = (
+            tuple(n for n in own if n in inputs) for own in (self.task.linear, self.task.band_limited)
+        )
+        task = replace(self.task, inputs=inputs, linear=lines, band_limited=smooth)
+        return replace(self, simulator=simulator, task=task)
 
     def values(self, values: Mapping[str, _T]) -> dict[str, _T]:
         """Return the parameters for this case; ``name@case`` becomes the plain name."""
@@ -349,8 +362,9 @@ def _case(
         variable = _variable(model, name, simulator, where)
         convert = conversion_at(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
         inputs[variable] = convert(signal.values)
+    columns = _columns(group)
     for variable in (n for n, v in variables.items() if v.causality == "input" and n.startswith(LOGGED)):
-        inputs[variable] = _logged(group, variable)
+        inputs[variable] = _logged(group, columns, variable)
     known = _settings(campaign, first, model, simulator, where)
     time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
     lead = 0
@@ -399,6 +413,7 @@ def _case(
         first.setup,
         lead,
         first.machine,
+        columns,
     )
 
 
@@ -407,17 +422,26 @@ def logged(column: str) -> str:
     return LOGGED + re.sub(r"\W", "_", column)
 
 
-def _logged(group: Sequence[Experiment], variable: str) -> FloatArray:
-    """Return the mean of a column over repeats."""
-    found = [s.values for e in group for name, s in e.unused.items() if logged(name) == variable]
-    if len(found) < len(group):
-        id = next(e.id for e in group if variable not in map(logged, e.unused))
+def _logged(
+    group: Sequence[Experiment], columns: Mapping[str, tuple[str, FloatArray]], variable: str
+) -> FloatArray:
+    """Return the values of a column that a model has as an input."""
+    if variable not in columns:
         raise MeasurementsError(
             f"has no column '{variable.removeprefix(LOGGED)}', on which a coefficient of the model depends",
-            where=f"experiment '{id}'",
+            where=f"experiment '{next(e.id for e in group if variable not in map(logged, e.unused))}'",
             fix="leave the run out, or add the column",
         )
-    return np.asarray(np.mean(found, axis=0))
+    return columns[variable][1]
+
+
+def _columns(group: Sequence[Experiment]) -> dict[str, tuple[str, FloatArray]]:
+    """Return unit and mean over repeats of the columns that all of them have and the plain model does not use."""
+    common = [n for n in group[0].unused if all(n in e.unused for e in group)]
+    return {
+        logged(n): (group[0].unused[n].unit, np.asarray(np.mean([e.unused[n].values for e in group], axis=0)))
+        for n in common
+    }
 
 
 def _variable(model: ModelSpec, name: str, simulator: Simulator, where: str) -> str:

@@ -1,0 +1,397 @@
+"""Learned tables: a smooth table at a place, for what no law explains or where a law has another shape.
+
+A table is piecewise linear, with few knots at quantiles of what the runs reached. Its variable, or two of them,
+and the number of knots are those that predict left-out experiments. Where its place and variable are those of a
+law in the model, it refines the shape of that law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from fmu_build.errors import UserError
+from fmu_build.flat_model import FlatModel
+from fmuid.core.campaign import ModelSpec
+from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.core.formulas import parse
+from fmuid.core.immutable import FloatArray
+from fmuid.core.progress import Say, quiet
+from fmuid.diagnosis import decide
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
+from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
+from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
+from fmuid.diagnosis.null_distribution import Null, draw_noise
+from fmuid.diagnosis.ports import Response, fit_decoys, hats, moved_by, quantile_knots
+from fmuid.diagnosis.scores import nominal_basis
+from fmuid.diagnosis.subject import Subject, tightened
+from fmuid.diagnosis.verdict import Best, Estimate, Refinement
+from fmuid.discovery.find_law import LEFT, pruned
+from fmuid.discovery.injected import Law, entry, free_name, with_laws
+from fmuid.discovery.places import Spot, spot
+from fmuid.discovery.selection import DRIVEN, Chosen
+from fmuid.discovery.terms import Quantity, Term, names_in, table
+from fmuid.effects.effect import Effect
+from fmuid.effects.quantities import quantity_words
+from fmuid.identification.problem.cases import LOGGED
+from fmuid.simulation.model_source import flat_model
+from fmuid.simulation.simulator import Simulator
+
+_KNOTS = (3, 5, 9, 17)  # of a table over one variable; each set halves the distances of the one before
+_KNOTS_OF_TWO = ((3, 3), (5, 3), (3, 5), (5, 5))  # of a table over two: no more values than a fine one over one
+_PLACES = 2  # places examined: those where a course over time is likeliest
+_PAIRED = 3  # variables at a place from which pairs are made: those that predict best alone
+_BUILT = 4  # tables that are built into the model: those that predict best as driven inputs
+_INTERVAL = 1.645  # standard errors: 90 %
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tabulated:
+    """A table in the model.
+
+    Attributes
+    ----------
+    effect
+        The table as an effect.
+    subject, fitted
+        The model that contains it, and its refit.
+    best
+        The model as the best explanation, with the table as a refinement.
+    """
+
+    effect: Effect
+    subject: Subject
+    fitted: Fitted
+    best: Best
+
+
+def tabulate(
+    found: Found,
+    models: Mapping[str, ModelSpec],
+    load: Callable[[ModelSpec], Simulator],
+    *,
+    say: Say = quiet,
+    seed: int = 0,
+) -> Tabulated | None:
+    """Look for a table where the verdict leaves a gap; None if none predicts left-out experiments better.
+
+    A table over the own variable of a law of the best explanation, at its own port, may refine that law. Unless
+    its effects are all that is missing, a table may also take their place, or be in addition to them.
+
+    Parameters
+    ----------
+    models
+        Models by setup; those with Modelica source can contain a table.
+    load
+        Loads a model.
+    say
+        Called with progress.
+    seed
+        Seed of the null distribution.
+    """
+    verdict, subject = found.diagnosis.verdict, found.subject
+    named = () if found.best is None else (found.best,)
+    finished = verdict.kind == "complete" or (bool(found.surviving) and verdict.rest is None)
+    if finished or not found.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
+        return None
+    setups = {case.setup for case in subject.model.cases}
+    flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
+    if set(flats) != setups:
+        return None
+    (prediction,) = subject.model.predict([found.nominal.fit.values])
+    noise = draw_noise(
+        subject.observed, None if isinstance(prediction, SimulationError) else prediction, seed=seed
+    )
+    null = noise.null(nominal_basis(found.nominal.fit, subject.observed), ())
+    alone, *beside = (
+        _Search(found, base, models, load, next(iter(flats.values())), null) for base in (found.nominal, *named)
+    )
+    open_ = verdict.kind != "effect" or verdict.provisional
+    searches = [*(s.refined for s in beside), *([alone.learned] if open_ else [])]
+    searches += [s.learned for s in beside] if open_ else []
+    tables: list[Tabulated] = []
+    for search in searches:
+        say("looking for a table", 0.962)
+        try:
+            table = search()
+        except UserError:  # a model that cannot be built or simulated yields no table
+            continue
+        if table is not None and all(_better(b, table.fitted) for b in named):
+            tables.append(table)
+            if table.fitted.held_out.gap <= LEFT:
+                break
+    return min(tables, key=lambda t: t.fitted.held_out.mean, default=None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Built:
+    """A table in the model, refitted."""
+
+    law: Law
+    over: tuple[Quantity, ...]
+    knots: tuple[FloatArray, ...]
+    effect: Effect
+    subject: Subject
+    fitted: Fitted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Proposed(Chosen):
+    """A table that has been judged as a driven input."""
+
+    over: tuple[Quantity, ...]
+    knots: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    found: Found
+    base: Fitted
+    models: Mapping[str, ModelSpec]
+    load: Callable[[ModelSpec], Simulator]
+    flat: FlatModel
+    null: Null
+
+    def refined(self) -> Tabulated | None:
+        """Return the model with a table over the own variable of one of its laws, if that law's shape is wrong."""
+        by_id = self.found.subject.by_id
+        tried = []
+        for effect in (by_id[id] for id in self.base.effects):
+            place = self._spot(effect.port) if effect.acts == "flow" and effect.expression else None
+            own = [q for q in place.quantities if q.name in _names(effect)] if place is not None else []
+            best = self._built(self._over_one(place, own)) if place is not None else None
+            if best is not None and _better(self.base, best.fitted):
+                tried.append((best, effect.id))
+        best, of = min(tried, key=lambda pair: pair[0].fitted.held_out.mean, default=(None, ""))
+        return None if best is None else self._told(best, of)
+
+    def learned(self) -> Tabulated | None:
+        """Return the model with a table where the rest enters."""
+        entered = self.found.entered if not self.base.effects else {}
+        entered = entered or where_it_enters(self.found.subject, self.base)
+        proposed: list[_Proposed] = []
+        likely = (self._spot(name) for name in sorted(entered, key=lambda name: -entered[name].evidence))
+        for place in islice((one for one in likely if one is not None), _PLACES):
+            ones = list(self._over_one(place, place.quantities))
+            best = dict.fromkeys(p.over[0] for p in sorted(ones, key=lambda p: p.held_out.mean))
+            proposed += [*ones, *self._over_two(place, [*best][:_PAIRED])]
+        built = self._built(proposed)
+        if built is None:
+            return None
+        return self._told(replace(built, fitted=pruned(built.subject, built.fitted)))
+
+    def _spot(self, name: str) -> Spot | None:
+        """Return a place with all that a table there may be over; None if it has no input."""
+        port = self.found.subject.catalogue.ports.get(name)
+        if port is None or not port.added or port.input is None:
+            return None
+        here = spot(name, self.flat, self.found.subject.model, self.base.fit.values)
+        return None if here is None else replace(here, courses=here.around)
+
+    def _over_one(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
+        """Yield tables over one variable, with more and more knots."""
+        for x in over:
+            fine = _knots(place, x, _KNOTS[-1])
+            columns = self._moved(place, hats(_courses(place, x), fine))
+            for knots in dict.fromkeys(_some(fine, n) for n in _KNOTS):
+                at = fine[list(knots)]
+                yield from self._judged(place, (x,), (at,), columns, np.array(hats([fine], at))[:, 0].T)
+
+    def _over_two(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
+        """Yield tables over two variables."""
+        for k, x in enumerate(over):
+            for y in over[k + 1 :]:
+                fine = [_knots(place, q, max(map(max, _KNOTS_OF_TWO))) for q in (x, y)]
+                one, two = (hats(_courses(place, q), at) for q, at in zip((x, y), fine, strict=True))
+                both = tuple(tuple(a * b for a, b in zip(f, g, strict=True)) for f in one for g in two)
+                columns = self._moved(place, both)
+                for counts in _KNOTS_OF_TWO:
+                    at = tuple(f[list(_some(f, n))] for f, n in zip(fine, counts, strict=True))
+                    weights = [np.array(hats([f], a))[:, 0].T for f, a in zip(fine, at, strict=True)]
+                    yield from self._judged(place, (x, y), at, columns, np.kron(*weights))
+
+    def _moved(self, place: Spot, basis: Sequence[tuple[FloatArray, ...]]) -> tuple[FloatArray, ...] | None:
+        """Return by how much functions at a place move the residuals, (M_e, B) per experiment."""
+        subject = self.found.subject
+        port = replace(subject.catalogue.ports[place.port.name], magnitude=DRIVEN * place.flow)
+        moved = [m for m in moved_by(subject.model, subject.observed, self.base.fit, port, tuple(basis)) if m]
+        if len(moved) < len(basis):
+            return None
+        return tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
+
+    def _judged(
+        self,
+        place: Spot,
+        over: tuple[Quantity, ...],
+        knots: tuple[FloatArray, ...],
+        columns: tuple[FloatArray, ...] | None,
+        weights: FloatArray,
+    ) -> Iterator[_Proposed]:
+        """Yield a table, (B, K) `weights` of whose functions make it of those that move the residuals."""
+        if columns is None:
+            return
+        response = Response("", tuple(c @ weights for c in columns))
+        (decoy,) = fit_decoys([response], self.base.fit, self.found.subject.observed)
+        sizes = tuple(DRIVEN * place.flow * a for a in decoy.amounts)
+        yield _Proposed(place, _terms(over, knots), sizes, decoy.held_out, 0.0, over, knots)
+
+    def _built(self, proposed: Iterator[_Proposed] | Sequence[_Proposed]) -> _Built | None:
+        """Build the most promising tables into the model, and return the simplest of those that predict best."""
+        best = sorted(proposed, key=lambda p: p.held_out.mean)[:_BUILT]
+        best = [p for p in best if advantage(p.held_out, self.base.held_out)[0] > 0.0]
+        if not best:
+            return None
+        built = self._fitted([(p, p.sizes) for p in best])
+        if not built:
+            return None
+        first = min(built, key=lambda b: b.fitted.held_out.mean)
+        again = self._fitted([self._again(first, n) for n in _KNOTS]) if len(first.over) == 1 else []
+        return _simplest([*built, *again])
+
+    def _again(self, before: _Built, count: int) -> tuple[_Proposed, tuple[float, ...]]:
+        """Return a table over the same variable with knots along the trajectories of the model that has it."""
+        (x,), values = before.over, before.fitted.fit.values
+        here = spot(before.law.spot.port.name, self.flat, before.subject.model, values)
+        place = before.law.spot if here is None else replace(here, courses=here.around)
+        fine = _knots(place, x, _KNOTS[-1])
+        at = fine[list(_some(fine, count))]
+        sizes = np.interp(at, before.knots[0], [values[n] for n in before.law.sizes])
+        held_out = before.fitted.held_out
+        return _Proposed(place, _terms((x,), (at,)), (), held_out, 0.0, (x,), (at,)), tuple(map(float, sizes))
+
+    def _fitted(self, proposed: Sequence[tuple[_Proposed, tuple[float, ...]]]) -> list[_Built]:
+        """Put tables into the model, each while the others are off, and refit each with all parameters."""
+        subject = self.found.subject
+        beside = [subject.by_id[id] for id in self.base.effects]
+        laws = [Law(p.spot, p.terms, f"{p.spot.port.name}.tried{k}") for k, (p, _) in enumerate(proposed)]
+        effects = [_effect(law, f"tried{k}@{law.spot.port.name}", "a table") for k, law in enumerate(laws)]
+        subject = with_laws(subject, self.models, self.load, effects, self.base.effects)
+        begin = self.base.fit.values
+        starts = [
+            {**begin, **dict(zip(law.sizes, sizes, strict=True))}
+            for law, (_, sizes) in zip(laws, proposed, strict=True)
+        ]
+        subject = tightened(subject, starts)
+        built = []
+        for law, effect, start, (p, _) in zip(laws, effects, starts, proposed, strict=True):
+            fitted = fit_effects(subject, [*beside, effect], [start, begin])
+            if fitted is not None:
+                built.append(_Built(law, p.over, p.knots, effect, subject, fitted))
+        return built
+
+    def _told(self, built: _Built, of: str = "") -> Tabulated | None:
+        """Return a table with its final names, if it closes enough of the gap, and beyond chance."""
+        nominal, fitted = self.found.nominal, built.fitted
+        lows = [
+            closure_interval(nominal.held_out, fitted.held_out, null=self.null)[0],
+            closure_interval(self.base.held_out, fitted.held_out)[0],
+        ]
+        if closure(nominal.held_out, fitted.held_out) < decide.CLOSURE_THAT_NAMES or min(lows) <= 0.0:
+            return None
+        place, port = built.law.spot, built.law.spot.port
+        words = " and ".join(self._in_words(q, place) for q in built.over)
+        word = "refinement" if of else "learned_table"
+        name = free_name([self.flat], port.name, word)
+        law = replace(built.law, base=f"{port.name}.{name}")
+        what = f"table over {words} that refines the shape of {of}" if of else f"learned table over {words}"
+        effect = _effect(law, f"{name}@{port.name}({words})", f"{port.name}: {what}")
+        renamed = dict(zip(built.law.sizes, law.sizes, strict=True))
+        values = {renamed.get(n, n): v for n, v in fitted.fit.values.items()}
+        unknowns = tuple(replace(u, name=renamed.get(u.name, u.name)) for u in fitted.fit.unknowns)
+        fit = replace(fitted.fit, unknowns=unknowns, values=values)
+        left_out = tuple({renamed.get(n, n): v for n, v in own.items()} for own in fitted.left_out)
+        fitted = replace(fitted, effects=(*fitted.effects[:-1], effect.id), fit=fit, left_out=left_out)
+        subject = with_laws(self.found.subject, self.models, self.load, [effect], fitted.effects[:-1])
+        best = Closing(subject, self.found.nominal, self.null).best(fitted)
+        if of:
+            best = replace(best, effects=self.base.effects, parameters=self._covering(best.parameters))
+        sizes = np.array([values[n] for n in law.sizes]).reshape([len(k) for k in built.knots])
+        refinement = Refinement(
+            effect=of or effect.id,
+            id=effect.id,
+            port=port.name,
+            variables=tuple(self._in_words(q, place) for q in built.over),
+            units=tuple(q.unit for q in built.over),
+            knots=tuple(tuple(map(float, k)) for k in built.knots),
+            values=sizes.tolist(),
+            unit=port.units[1],
+            entry=entry(effect),
+        )
+        return Tabulated(effect, subject, fitted, replace(best, refinements=(refinement,)))
+
+    def _covering(self, refined: Mapping[str, Estimate]) -> dict[str, Estimate]:
+        """Return parameters of a refined law with errors whose 90 % intervals cover those of the plain law."""
+        plain = estimates(self.base, self.found.subject)
+
+        def both(one: Estimate, other: Estimate) -> Estimate:
+            moved = abs(one.value - other.value) / _INTERVAL
+            return replace(
+                one, standard_error=None if other.standard_error is None else other.standard_error + moved
+            )
+
+        return {n: both(e, plain[n]) for n, e in refined.items() if n in plain}
+
+    def _in_words(self, x: Quantity, place: Spot) -> str:
+        """Return a variable in words: a quantity of the place in its domain, or a signal or variable by name."""
+        words = quantity_words(place.port.domain, place.port.units[0])
+        signals = {c.variable: c.signal for case in self.found.subject.model.cases for c in case.channels}
+        return words.get(x.name) or signals.get(x.name, x.name)
+
+
+def _better(before: Fitted, after: Fitted) -> bool:
+    """Return whether a model with a table closes enough of what another one leaves, and predicts better."""
+    return decide.worth_adding(before, after) and after.held_out.mean < before.held_out.mean
+
+
+def _effect(law: Law, id: str, description: str) -> Effect:
+    """Return a table as an effect, whose values are small where nothing determines them."""
+    effect = law.effect(id, description)
+    unknowns = tuple(replace(u, sd=law.spot.flow) for u in effect.unknowns)
+    used = frozenset().union(*(names_in(term.text) for term in law.terms))
+    inputs = {q.name: q.unit for q in law.spot.quantities if q.name in used and q.name.startswith(LOGGED)}
+    source = "learned from the measurements"
+    return replace(effect, law=id.partition("@")[0], unknowns=unknowns, source=source, inputs=inputs)
+
+
+def _names(effect: Effect) -> frozenset[str]:
+    try:
+        return parse(effect.expression.replace("^", "**")).names
+    except ProblemError:
+        return frozenset()
+
+
+def _terms(over: tuple[Quantity, ...], knots: tuple[FloatArray, ...]) -> tuple[Term, ...]:
+    first, *others = (table(x, at) for x, at in zip(over, knots, strict=True))
+    for other in others:
+        first = [replace(a, text=f"{a.text}*{b.text}", rank=a.rank + b.rank) for a in first for b in other]
+    return tuple(first)
+
+
+def _courses(place: Spot, x: Quantity) -> list[FloatArray]:
+    return [c[x.name] for c in place.courses]
+
+
+def _knots(place: Spot, x: Quantity, count: int) -> FloatArray:
+    """Return knots at quantiles of what the runs reached, as numbers with few digits."""
+    knots = quantile_knots(_courses(place, x), count)
+    return np.unique(np.round(knots, 4 - int(np.floor(np.log10(np.ptp(knots))))))
+
+
+def _some(knots: FloatArray, count: int) -> tuple[int, ...]:
+    """Return the numbers of so many of the knots, among them the first and the last one."""
+    return tuple(dict.fromkeys(np.linspace(0, len(knots) - 1, count).round().astype(int).tolist()))
+
+
+def _simplest(built: Sequence[_Built]) -> _Built:
+    """Return the table with the fewest values of those that predict left-out experiments as well as the best."""
+    best = min(built, key=lambda b: b.fitted.held_out.mean)
+
+    def as_good(other: _Built) -> bool:
+        gained, error = advantage(best.fitted.held_out, other.fitted.held_out)
+        return gained <= error
+
+    alike = [b for b in built if b is best or as_good(b)]
+    return min(alike, key=lambda b: (len(b.law.terms), b.fitted.held_out.mean))
