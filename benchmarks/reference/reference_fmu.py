@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.core.errors import FmuError, SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 Values = Mapping[str, float]
 
@@ -59,7 +59,7 @@ def computed(name: str, unit: str, causality: str = "output") -> Variable:
     return Variable(name, causality, "continuous", unit)
 
 
-class ReferenceFmu:
+class ReferenceFmu(Simulator):
     """A reference model with names, units, start values and causality of an FMU; it is a `Simulator`.
 
     ``set`` start values, then ``step`` and ``get``: the first of these two ends initialisation. Inputs are

@@ -15,10 +15,10 @@ from fmuid.core.errors import CampaignError, FmuError, FmuidError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.design.parameters import ParameterDesign, design_for_parameters
 from fmuid.simulation.runners import in_process
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 
-class Line:
+class Line(Simulator):
     """y = a u + b, without memory."""
 
     variables: ClassVar = {

@@ -22,7 +22,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.subject import Subject
 from fmuid.effects.effect import Catalogue, Effect, Unknown
 from fmuid.identification.problem.cases import measured_case
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 from tests.diagnosis.plants import DT, EFFECTS, SIGMA, TWIN, Mass, plant
 
 LIMITS = {"u": Limit("u", -4.0, 4.0, rate=60.0), "x": Limit("x", -2.0, 2.0)}
@@ -109,7 +109,7 @@ def test_where_no_run_settles_it_a_sensor_is_named_and_how_quiet_it_must_be() ->
     assert sensor.separation > SETTLED
 
 
-class Kink:
+class Kink(Simulator):
     """y = u + a max(0, |u| - 0.5) sign u + k max(0, |u| - c) sign u."""
 
     variables: ClassVar = {

@@ -18,7 +18,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.subject import Subject
 from fmuid.effects.effect import Catalogue, Effect, Port, Regime, Unknown
 from fmuid.identification.problem.cases import measured_case
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 DT = 5e-3
 N = 400
@@ -46,7 +46,7 @@ def _run() -> Callable[..., None]:
     return run
 
 
-class Mass:
+class Mass(Simulator):
     """m der(v) = u - d v - (Fc + bump) s - a |s| - tilt - cable - square v |v| - hill sin 8x - port.
 
     s = tanh(v / 0.02); Fc is larger by `grip` at some positions.

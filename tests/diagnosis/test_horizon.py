@@ -15,13 +15,13 @@ from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.subject import Subject
 from fmuid.effects.effect import Catalogue, Unknown
 from fmuid.identification.problem.cases import measured_case
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 TRUE = {"w": 1.3, "more": 0.25}
 TIME = 0.05 * np.arange(1200)
 
 
-class Swing:
+class Swing(Simulator):
     """A swing of angular frequency w + more, which `more` also pushes to one side."""
 
     variables: ClassVar = {

@@ -12,7 +12,7 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.subject import Subject
 from fmuid.effects.effect import Catalogue, Effect, Port, Sensor, Unknown
 from fmuid.identification.problem.cases import measured_case
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 TIME = 5e-3 * np.arange(400)
 SIGMA = 0.05
@@ -29,7 +29,7 @@ def tone(number: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Reading(Simulator):
     """y = strength (k tone 0 + the sum over the effects of size times law); a law has a weight for each tone.
 
     Weights of negative tones are in `z`, which no sensor reads.

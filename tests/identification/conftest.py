@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid import ParameterSpec, Problem, Task, Variable, measured_case
+from fmuid import ParameterSpec, Problem, Simulator, Task, Variable, measured_case
 from fmuid.core.errors import SimulationError
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 
-class Analytic:
+class Analytic(Simulator):
     """A model from a function (time, inputs, parameters) -> {output: samples}; counts its simulations."""
+
+    variables = None
 
     def __init__(self, function, parameters, outputs=("y",), units=None):
         self.function = function

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.interval_coverage import KINDS, interval_coverage, main
-from fmuid import CriterionSpec, ParameterSpec
+from fmuid import CriterionSpec, ParameterSpec, Simulator
 from fmuid.core.errors import ProblemError
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
 
@@ -35,8 +35,10 @@ def test_intervals_around_what_is_not_the_truth_do_not_hold_it(bench):
     assert interval_coverage(right, "wrong", draws=5, simulators=biased).shares[0] == 0.0
 
 
-class Biased:
+class Biased(Simulator):
     """A model that is another one after its third run: two show that it repeats itself, one makes the measurements."""
+
+    variables = None
 
     def __init__(self, model):
         self.model, self.variables, self.runs = model, model.variables, 0

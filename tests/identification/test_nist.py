@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid import ParameterSpec, Problem, Task, Variable, identify, measured_case
+from fmuid import ParameterSpec, Problem, Simulator, Task, Variable, identify, measured_case
 
 exp, pi = np.exp, np.pi
 
@@ -88,7 +88,7 @@ SETS = {name: read(name) for name in MODELS}
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(Simulator):
     """The regression function as a model whose time axis is an index; the predictors are inputs."""
 
     nist: Nist

@@ -15,7 +15,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.segmented import Segmented
-from fmuid.simulation.simulator import Task
+from fmuid.simulation.simulator import Simulator, Task
 from tests.conftest import as_a_user_builds
 
 MODELS = Path(__file__).parent / "models"
@@ -50,11 +50,13 @@ def of_trolley(fmu, runs, **stage):
     return campaign(fmu.parent, fmu, runs, ("f", "N"), ("s", "m"), trolley_specs(), 1e-3, **stage)
 
 
-class Plain:
+class Plain(Simulator):
     """An FMU without derivatives, as other tools' are."""
 
+    variables = states = unsettable = None
+
     def __init__(self, fmu):
-        self.fmu, self.variables, self.states, self.slots = fmu, fmu.variables, fmu.states, fmu.slots
+        self.fmu, self.variables, self.states, self.unsettable = fmu, fmu.variables, fmu.states, fmu.unsettable
 
     def simulate(self, task, parameters):
         assert not task.along
@@ -114,7 +116,7 @@ def test_standard_errors_count_the_states(trolley_fmu):
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.7
 
 
-class Humped:
+class Humped(Simulator):
     """Its output is highest where its state begins, so that a full step from there goes far beyond."""
 
     states, variables = ("x",), {}

@@ -6,17 +6,19 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from fmuid import Task, Variable, measured_case
+from fmuid import Simulator, Task, Variable, measured_case
 from fmuid.identification.problem.solver_error import UNSEEN, solver_accuracy
 from fmuid.simulation.runners import in_process
 
 TIME = np.linspace(0.0, 2.0, 101)
 
 
-class Solved:
+class Solved(Simulator):
     """An exponential whose error is `worse` times the tolerance and grows at a rate."""
 
     variables: ClassVar = {"a": Variable("a", "parameter"), "y": Variable("y", "output")}
+
+    default_tolerance = None
 
     def __init__(self, worse, rate=0.0, default_tolerance=1e-4):
         self.worse, self.rate, self.default_tolerance, self.asked = worse, rate, default_tolerance, []

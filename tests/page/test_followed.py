@@ -14,10 +14,10 @@ from fmuid.identification.identify import identify
 from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.cases import measured_case
 from fmuid.identification.problem.estimation_problem import Problem
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 
-class Line:
+class Line(Simulator):
     """y = a + b t."""
 
     variables: ClassVar = {n: Variable(n, k) for n, k in (("a", "parameter"), ("b", "parameter"), ("y", "output"))}

@@ -1,6 +1,6 @@
 import csv
-from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,23 +20,20 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.identification.identify import identify
 from fmuid.report import write_report
 from fmuid.report.friction_figures import free_rotation, loss_table, no_load_torque, plateaus
-from fmuid.simulation.simulator import Variable
+from fmuid.simulation.simulator import Simulator, Variable
 
 TIME = np.linspace(0, 2, 201)
 
 
-@dataclass(frozen=True)
-class Lag:
+class Lag(Simulator):
     """First-order lag: T der(y) + y = K u after a step of size u at t = 0."""
 
-    variables: dict = field(
-        default_factory=lambda: {
-            "u": Variable("u", "input", unit="A"),
-            "y": Variable("y", "output", unit="N.m"),
-            "K": Variable("K", "parameter", unit="N.m/A", start=1.0),
-            "T": Variable("T", "parameter", unit="s", start=1.0),
-        }
-    )
+    variables: ClassVar = {
+        "u": Variable("u", "input", unit="A"),
+        "y": Variable("y", "output", unit="N.m"),
+        "K": Variable("K", "parameter", unit="N.m/A", start=1.0),
+        "T": Variable("T", "parameter", unit="s", start=1.0),
+    }
 
     def simulate(self, task, parameters):
         u = task.inputs["u"]

@@ -8,7 +8,7 @@ from fmu_build import build
 from fmuid.diagnosis.extended_model import _lined
 from fmuid.diagnosis.ports import hats
 from fmuid.simulation.fmu import Fmu
-from fmuid.simulation.simulator import Task, interpolates
+from fmuid.simulation.simulator import Task
 
 MODEL = """
 model Twice "Two integrators, so that every course of the inputs shows"
@@ -28,7 +28,7 @@ def test_a_held_and_a_linear_input(tmp_path):
     time = np.linspace(0.0, 2.0, 41)
     held, driven = np.where(np.arange(41) % 7 < 3, 1.0, -1.0), np.interp(time, [0.5, 1.0, 1.3], [0.0, 2.0, 0.0])
     with Fmu(build(tmp_path / "Twice.mo", "Twice", tmp_path)) as fmu:
-        assert interpolates(fmu)
+        assert fmu.interpolates_inputs
         x, y = fmu.simulate(Task(time, {"held": held, "driven": driven}, ("x", "y"), linear=("driven",)), {})
     h = np.diff(time)
     slope = np.diff(driven) / h

@@ -11,7 +11,6 @@ import pytest
 from fmu_build import build as build_modelica
 from fmuid.core.campaign import CriterionSpec, ParameterSpec
 from fmuid.core.errors import SimulationError
-from fmuid.identification.problem import exact_derivatives
 from fmuid.identification.problem.cases import measured_case
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.search_space import expanded
@@ -51,7 +50,7 @@ def test_an_identification_takes_exact_jacobians_across_events(tmp_path, monkeyp
     start = {"low": 18.0, "high": 22.0, "tau": 2.0, "power": 12.5}
     for exact in (True, False):
         if not exact:
-            monkeypatch.setattr(exact_derivatives, "differentiates", lambda *_: False)
+            monkeypatch.setattr(Fmu, "differentiates", lambda *_: False)
         search, simulated = _search(path, np.linspace(0.0, 4.0, 401), "T", truth, start)
         assert TrustRegion().solve(search, search.problem.space.start).status is Status.CONVERGED
         ends.append(search.best)

@@ -7,13 +7,15 @@ import pytest
 
 from fmuid.simulation import recorded
 from fmuid.simulation.recorded import RecordedSimulations
-from fmuid.simulation.simulator import Task
+from fmuid.simulation.simulator import Simulator, Task
 
 TASK = Task(np.linspace(0.0, 1.0, 1001), {}, ("y",))
 
 
-class Doubling:
+class Doubling(Simulator):
     """A model that tells how often it was simulated."""
+
+    variables = None
 
     def __init__(self):
         self.variables, self.simulated = {}, []

@@ -17,7 +17,6 @@ from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import score_effects
 from fmuid.effects.effect import Effect, Unknown
-from fmuid.identification.problem import exact_derivatives
 from fmuid.identification.problem.cases import measured_case
 from fmuid.identification.problem.derivatives import Differences, noise_floor
 from fmuid.identification.problem.estimation_problem import Problem
@@ -27,7 +26,7 @@ from fmuid.identification.solvers.search import Search, Status
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.pool.workers import WorkerPool
 from fmuid.simulation.runners import in_process
-from fmuid.simulation.simulator import Task, differentiates
+from fmuid.simulation.simulator import Task
 
 MODEL = """
 model Slider "A mass that reverses in dry friction"
@@ -66,9 +65,9 @@ def slider(tmp_path_factory):
 
 def test_derivatives_are_those_of_accurate_runs_through_reversals(slider):
     fmu = Fmu(slider)
-    assert differentiates(fmu, ["m", "d", "fc[1]", "v"])
-    assert not differentiates(fmu, ["m", "u"])
-    assert not differentiates(fmu, ["nothing"])
+    assert fmu.differentiates(["m", "d", "fc[1]", "v"])
+    assert not fmu.differentiates(["m", "u"])
+    assert not fmu.differentiates(["nothing"])
     got = fmu.simulate(replace(TASK, along=ALONG), VALUES)
     assert np.array_equal(got[:2], fmu.simulate(TASK, VALUES))
     assert np.count_nonzero(np.diff(np.sign(got[1]))) >= 4
@@ -184,7 +183,7 @@ def test_the_jacobian_of_a_problem_is_that_of_differences(slider, monkeypatch):
     found = []
     for able in (True, False):
         if not able:
-            monkeypatch.setattr(exact_derivatives, "differentiates", lambda *_: False)
+            monkeypatch.setattr(Fmu, "differentiates", lambda *_: False)
         problem = _problem(slider, start={"m": 0.8, "d": 0.0, "f": 0.4})
         here, floor = problem.evaluate(problem.space.start), noise_floor(problem, problem.space.start)
         jobs = []
@@ -205,7 +204,7 @@ def test_a_search_ends_at_the_same_optimum_with_either_jacobian(slider, monkeypa
     ends = []
     for exact in (True, False):
         if not exact:
-            monkeypatch.setattr(exact_derivatives, "differentiates", lambda *_: False)
+            monkeypatch.setattr(Fmu, "differentiates", lambda *_: False)
         purposes = []
         problem = _problem(slider, start={"m": 0.8, "d": 0.5, "f": 0.4})
         search = Search(problem, record=lambda _, purpose, __, purposes=purposes: purposes.append(purpose))
@@ -223,7 +222,7 @@ def test_a_search_ends_at_the_same_optimum_with_either_jacobian(slider, monkeypa
 
 def test_other_fmus_have_none(build):
     fmu = Fmu(build(2))
-    assert not differentiates(fmu, ["c"])
+    assert not fmu.differentiates(["c"])
     with pytest.raises(FmuError, match="cannot differentiate"):
         fmu.simulate(Task(TIME, {}, ("x",), along=({"c": 1.0},)), {})
 

@@ -12,7 +12,7 @@ from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.identification.problem.cases import measured_case
 from fmuid.simulation.signal_effects import disturbed_input, disturbed_readings, split_signal_parameters
 from fmuid.simulation.signal_model import SignalModel
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 DT, N, FINE = 0.01, 200, 500
 TIME = DT * np.arange(N)
@@ -28,7 +28,7 @@ def first_order(u, h, tau, *, linear):
     return lfilter(numerator, [1.0, -keep], u - u[0]) + u[0]
 
 
-class Plant:
+class Plant(Simulator):
     """TAU der(x) = u - x, y = x + feedthrough u; exact at any communication points."""
 
     variables: ClassVar = {
@@ -37,6 +37,8 @@ class Plant:
         "u": Variable("u", "input"),
         "y": Variable("y", "output"),
     }
+
+    even_steps = False
 
     def __init__(self, *, even_steps=False):
         self.even_steps, self.count = even_steps, 0
@@ -125,7 +127,7 @@ def test_a_differentiated_reading_is_late_as_any_other(effect):
     np.testing.assert_allclose(model.predict([{effect: 0.035}])[0][0][0], 2.0, rtol=1e-9)
 
 
-class Ramp:
+class Ramp(Simulator):
     variables: ClassVar = {"y": Variable("y", "output")}
 
     def simulate(self, task, parameters):

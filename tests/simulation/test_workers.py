@@ -219,8 +219,8 @@ import socket, time
 import numpy as np
 from fmuid.simulation.pool import worker_supervision
 from fmuid.simulation.pool.workers import WorkerPool
-from fmuid.simulation.simulator import Task
-class Model:
+from fmuid.simulation.simulator import Simulator, Task
+class Model(Simulator):
     variables = {}
     def simulate(self, task, parameters):
         end = time.perf_counter() + 3e-4

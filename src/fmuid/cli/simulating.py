@@ -159,7 +159,7 @@ def _simulate_fmu(
     from fmuid.simulation.coupled.coupling_table import master_of
     from fmuid.simulation.coupled.loading import load_model, load_system
     from fmuid.simulation.fmu import Fmu
-    from fmuid.simulation.simulator import EndedError, Task, default_tolerance, needed_tool
+    from fmuid.simulation.simulator import EndedError, Task
 
     fmu = load_system(path, master_of(master, "--master")) if path.suffix == ".ssp" else load_model(path)
     variables = fmu.variables
@@ -198,7 +198,7 @@ def _simulate_fmu(
         if not 0 < step <= end - begin or (end - begin) / step > 1e8:
             raise FmuidError(f"step {step:g} s does not fit into {end - begin:g} s", fix="give another --step")
         time = np.asarray(begin + step * np.arange(round((end - begin) / step) + 1), dtype=np.float64)
-    if tool := needed_tool(fmu):
+    if tool := fmu.needed_tool:
         notes.append(f"{path.name} needs {tool} to be installed (needsExecutionTool)")
     changed = [n for n, value in values.items() if value != variables[n].start]
     points = [values, *({k: v for k, v in values.items() if k != n} for n in changed)]
@@ -210,7 +210,7 @@ def _simulate_fmu(
     elif isinstance(outcome, SimulationError):
         raise outcome
     predictions = _part(outcome)
-    within = 10 * (default_tolerance(fmu) or 0.0) * np.abs(predictions).max(axis=1, initial=0.0, keepdims=True)
+    within = 10 * (fmu.default_tolerance or 0.0) * np.abs(predictions).max(axis=1, initial=0.0, keepdims=True)
     others = dict(zip(changed, map(_part, without), strict=True))
     no_effect = [
         n

@@ -26,7 +26,7 @@ from fmuid.simulation.signal_effects import (
     disturbed_task,
     split_signal_parameters,
 )
-from fmuid.simulation.simulator import Simulator, Task, differentiates, interpolates, takes_any_times
+from fmuid.simulation.simulator import Simulator, Task
 
 Prediction = tuple[FloatArray, ...]
 """(C, N) predicted signals, one array per experiment."""
@@ -195,7 +195,7 @@ class CampaignModel:
             moved = {name for along, _ in own for name in along}
             point = self.start_values(case, plain)
             simulator = self._simulator(case, point)
-            if moved and not differentiates(simulator, moved):
+            if moved and not simulator.differentiates(moved):
                 return _Differentiated()
             jobs.append((simulator, self._task_along(k, case, own), point))
             moves.append(own)
@@ -407,7 +407,7 @@ def _disturbed(
         signal,
         names,
         driven,
-        any_times=takes_any_times(case.simulator),
+        any_times=not case.simulator.even_steps,
         linear_drive=linear,
         variables=case.simulator.variables,
     )
@@ -415,7 +415,7 @@ def _disturbed(
 
 def _draws_lines(case: Case) -> bool:
     """Return whether further inputs of a case are linear between its samples, else held."""
-    return interpolates(case.simulator) or case.task.interpolation == "band-limited"
+    return case.simulator.interpolates_inputs or case.task.interpolation == "band-limited"
 
 
 def _held(values: FloatArray) -> FloatArray:

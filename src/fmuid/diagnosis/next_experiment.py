@@ -28,7 +28,6 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
 from fmuid.effects.effect import Sensor, Unknown
 from fmuid.identification.problem.cases import Case, Channel
-from fmuid.simulation.simulator import default_tolerance
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)  # factors on recorded inputs: a rig that has run them can run these
 _NINE_OF_TEN = 1.2816  # standard deviations: one-sided 90 %
@@ -212,7 +211,7 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
     best: NextExperiment | None = None
     for scale in _SCALES:
         for k, case in enumerate(subject.model.cases_at(both)):
-            tolerance = _PRECISELY * (case.task.tolerance or default_tolerance(case.simulator) or _USUAL)
+            tolerance = _PRECISELY * (case.task.tolerance or case.simulator.default_tolerance or _USUAL)
             inputs = {n: scale * u for n, u in case.task.inputs.items()}
             task = replace(case.task, inputs=inputs, tolerance=tolerance)
             model = replace(subject.model, cases=(replace(case, task=task),))

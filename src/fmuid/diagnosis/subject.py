@@ -29,7 +29,7 @@ from fmuid.identification.problem.segments import in_segments, last_stages
 from fmuid.identification.problem.solver_error import SolverAccuracy, accuracy, solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_parameters
-from fmuid.simulation.simulator import Simulator, default_tolerance
+from fmuid.simulation.simulator import Simulator
 
 _STEP = 0.02  # of a nominal parameter relative to its start value: large compared with the noise of solvers
 _OF_WIDTH = 1e-3  # of one that starts at zero, relative to its range
@@ -193,7 +193,7 @@ def tightened(subject: Subject, points: Sequence[Mapping[str, float]]) -> Subjec
     needed: dict[frozenset[str], dict[str, float]] = {}
     for n, (_, case, values) in enumerate(every):
         own = found.tolerances.get(f"{n}", np.inf)
-        if f"{n}" not in found.until and own < (case.task.tolerance or default_tolerance(case.simulator) or 0.0):
+        if f"{n}" not in found.until and own < (case.task.tolerance or case.simulator.default_tolerance or 0.0):
             of = needed.setdefault(frozenset(values.keys() - always), {})
             of[case.id] = min(of.get(case.id, np.inf), own)
     if not needed:

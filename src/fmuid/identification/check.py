@@ -19,7 +19,7 @@ from fmuid.core.units import conversion
 from fmuid.identification.problem.segments import growth_of
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.segmented import Growth
-from fmuid.simulation.simulator import Simulator, Variable, needed_tool
+from fmuid.simulation.simulator import Simulator, Variable
 
 Level = Literal["error", "warning", "note"]
 _SETTABLE = ("parameter", "input", "structuralParameter")
@@ -87,7 +87,7 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
     """
     findings: dict[Finding, None] = {}
     for setup, simulator in simulators.items():
-        if tool := needed_tool(simulator):
+        if tool := simulator.needed_tool:
             findings[
                 Finding("note", f"[models.{setup}]", f"needs {tool} to be installed (needsExecutionTool)")
             ] = None

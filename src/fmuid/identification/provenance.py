@@ -25,7 +25,7 @@ def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], se
     digest.update(repr((solver.name, sorted(options.items()), seed, *posed)).encode())
     for case in problem.cases:
         simulator = case.simulator
-        digest.update(str(getattr(simulator, "token", type(simulator).__qualname__)).encode())
+        digest.update(simulator.token.encode())
         task = case.task
         how = (task.interpolation, task.linear, task.band_limited, task.after)
         digest.update(repr((case.id, task.outputs, dict(task.start_values), *how)).encode())

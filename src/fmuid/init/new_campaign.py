@@ -36,7 +36,7 @@ from fmuid.simulation.coupled.loading import load_model, load_simulator
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.segmented import Growth
-from fmuid.simulation.simulator import Variable, needed_tool
+from fmuid.simulation.simulator import Variable
 
 _TIMINGS = {
     "held": "inputs are held between their samples",
@@ -128,7 +128,7 @@ def new_campaign(
             fix = suggestion(unused[0], known)
             raise CampaignError(f"no signal '{unused[0]}' is used", where=what, fix=fix)
     guesses = once_each(notes)
-    if tool := needed_tool(model):
+    if tool := model.needed_tool:
         guesses.append(f"{fmu.name} needs {tool} to be installed (needsExecutionTool)")
     runs = with_repeats(runs)
     used = _for_identification(runs)

@@ -17,7 +17,7 @@ from fmuid.identification.solvers.trust_region import trust_region
 from fmuid.init.known_values import guessed_bounds
 from fmuid.simulation.runners import Runner, simulated
 from fmuid.simulation.segmented import Segmented
-from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _STEP = 0.01  # relative change of a parameter for estimating its effect
 _LEAST_FACTOR = 0.1  # to the start value, for ranges that include 0
@@ -94,7 +94,7 @@ class SeenRun:
         otherwise delicate parameters, with which the model cannot be simulated, are left out. `tell` is called for
         every parameter.
         """
-        exact = [v for v in parameters if differentiates(self._model, [v.name])]
+        exact = [v for v in parameters if self._model.differentiates([v.name])]
         found: dict[str, FloatArray] = {}
         if exact:
             along = tuple({v.name: self._value(v)} for v in exact)

@@ -39,7 +39,7 @@ from fmuid.simulation.fmu_variables import (
     read_feedthrough,
     read_variables,
 )
-from fmuid.simulation.simulator import EndedError, Task, Variable
+from fmuid.simulation.simulator import EndedError, Simulator, Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -47,7 +47,7 @@ _FATAL = 4
 _CHECK_BUDGET = 0.5  # s for checking whether a reset is equivalent to a new instance
 
 
-class Fmu:
+class Fmu(Simulator):
     """An FMU, extracted once, instantiated once and reset between simulations; a `Simulator`.
 
     Parameters
@@ -84,7 +84,7 @@ class Fmu:
         self._asked = interface
         self._description = _read_description(self.path)
         self.version = _major_version(self._description.version, self.path)
-        self.interface = self._choose(interface)
+        self._interface = self._choose(interface)
         self._described = self._offered()[self.interface]
         self._variables, self._slots = read_variables(self._description, self.version, self.path)
         self._view = MappingProxyType(self._variables)
@@ -130,6 +130,21 @@ class Fmu:
     def token(self) -> str:
         """The FMU's guid (FMI 2.0) or instantiation token (FMI 3.0)."""
         return self._description.token
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The ``.fmu`` file."""
+        return (self.path,)
+
+    @property
+    def interface(self) -> Interface:
+        """How the FMU is simulated."""
+        return self._interface
+
+    @property
+    def unsettable(self) -> frozenset[str]:
+        """The states that the FMU calculates or that cannot be set exactly."""
+        return frozenset(s for s in self.states if self._slots[s].refusal or not self._slots[s].exact)
 
     @property
     def default_experiment(self) -> Mapping[str, float]:

@@ -7,8 +7,9 @@ preceding samples. The prediction for a plant that diverges in open loop thus st
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +24,7 @@ _LEAST = 1e-3  # disturbance of every state, in sigmas of the outputs, so that n
 _STEP = 1e-4
 
 
-class ObserverModel:
+class ObserverModel(Simulator):
     """A simulator of one case whose runs are predictions from the preceding samples; a `Simulator`.
 
     Its gains are set like parameters, ``observer[state,output]``; gains that are not set are 0.
@@ -47,13 +48,23 @@ class ObserverModel:
                 f"an observer needs one FMU, not {type(simulator).__name__}", fix="use segments instead"
             )
         self.simulator = load_fmu(simulator.path, "model exchange")
-        self.states = states_of(self.simulator)
+        self._states = states_of(self.simulator)
         self.measured = read_only(measured)
 
     @property
     def variables(self) -> Mapping[str, Variable]:
         """Variables of the model."""
         return self.simulator.variables
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of the model."""
+        return self.simulator.files
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """States that the gains correct."""
+        return self._states
 
     @property
     def token(self) -> str:
@@ -64,11 +75,6 @@ class ObserverModel:
     def gain_name(state: str, output: str) -> str:
         """Return the name of a gain."""
         return f"observer[{state},{output}]"
-
-    def differentiates(self, names: Collection[str]) -> bool:
-        """Return False: there are no derivatives in model exchange."""
-        del names
-        return False
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         """Return the predictions, each from the preceding samples; see `Simulator`."""

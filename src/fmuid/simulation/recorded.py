@@ -154,11 +154,8 @@ def _of_task(task: Task) -> bytes:
 
 def _of_model(simulator: Simulator) -> bytes:
     """Return a digest of a model and its files, because a copy with other start values has the same token."""
-    token = getattr(simulator, "token", type(simulator).__qualname__)
-    digest = hashlib.blake2b(repr((token, getattr(simulator, "interface", None))).encode(), digest_size=16)
-    inner = getattr(simulator, "simulator", None)
-    parts = [simulator, *([] if inner is None else [inner]), *getattr(simulator, "components", {}).values()]
-    for path in (getattr(part, "path", None) for part in parts):
-        if path is not None and path.is_file():
+    digest = hashlib.blake2b(repr((simulator.token, simulator.interface)).encode(), digest_size=16)
+    for path in simulator.files:
+        if path.is_file():
             digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.digest()

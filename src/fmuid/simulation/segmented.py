@@ -16,6 +16,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.simulation.band_limited import refined
-from fmuid.simulation.simulator import Simulator, Task, Variable, differentiates
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 Length = float | Literal["auto"]
 """Length of a segment, s; ``auto`` for the longest over which small errors stay small."""
@@ -87,7 +88,7 @@ class _Cut:
     growth: Growth | None = None
 
 
-class Segmented:
+class Segmented(Simulator):
     """A simulator that restarts in each segment, from the states that fit the segment's samples best.
 
     A `Simulator` of one case: its predictions depend on the measurement.
@@ -124,13 +125,12 @@ class Segmented:
         self.simulator, self.task, self.length = simulator, task, length
         self.target, self.weight = read_only(np.where(weight > 0.0, target, 0.0)), read_only(weight)
         self.at = frozen_mapping(at)
-        self.states = states_of(simulator)
-        self.exact = differentiates(simulator, set(self.states))
+        self._states = states_of(simulator)
+        self.exact = simulator.differentiates(set(self.states))
         self._cut: _Cut | None = None
         self._pieces: OrderedDict[int, tuple[Task, list[Task]]] = OrderedDict()
         self._others: dict[int, Segmented] = {}
         self.missing: tuple[str, ...] = ()
-        self.even_steps = True  # the samples of a task are those of the measurement
 
     @property
     def variables(self) -> Mapping[str, Variable]:
@@ -138,11 +138,25 @@ class Segmented:
         return self.simulator.variables
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of the model."""
+        return self.simulator.files
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """States with which every segment begins."""
+        return self._states
+
+    @property
+    def even_steps(self) -> bool:
+        """True: the samples of a task are those of the measurement."""
+        return True
+
+    @property
     def token(self) -> str:
         """Identity of the model for fingerprints."""
-        inner = getattr(self.simulator, "token", type(self.simulator).__qualname__)
         seen = hashlib.blake2b(self.target.tobytes() + self.weight.tobytes(), digest_size=8).hexdigest()
-        return f"{inner} in segments of {self.length} of {seen}"
+        return f"{self.simulator.token} in segments of {self.length} of {seen}"
 
     @property
     def segments(self) -> int:
@@ -167,7 +181,7 @@ class Segmented:
 
     def differentiates(self, names: Collection[str]) -> bool:
         """Return whether the model can be differentiated with respect to the parameters `names` and its states."""
-        return self.exact and differentiates(self.simulator, {*names, *self.states})
+        return self.exact and self.simulator.differentiates({*names, *self.states})
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         """Return the concatenated predictions of the segments; see `Simulator`.
@@ -197,8 +211,8 @@ class Segmented:
             other = copy.copy(self)
             other._cut, other._pieces, other._others = self._layout(), OrderedDict(), {}
             other.simulator = simulator
-            other.missing = tuple(s for s in self.states if s not in getattr(simulator, "states", ()))
-            other.exact = differentiates(simulator, set(self.states))
+            other.missing = tuple(s for s in self.states if s not in simulator.states)
+            other.exact = simulator.differentiates(set(self.states))
             self._others[id(simulator)] = other
         return self._others[id(simulator)]
 
@@ -471,14 +485,13 @@ def states_of(simulator: Simulator) -> tuple[str, ...]:
     ProblemError
         The model has no states, or they cannot be set.
     """
-    states: tuple[str, ...] = tuple(getattr(simulator, "states", ()))
+    states = simulator.states
     if not states:
         raise ProblemError(
             f"the model has no continuous states that can be set ({type(simulator).__name__})",
             fix="do not use segments, or use a single FMU that lists its states with exact start values",
         )
-    slots = getattr(simulator, "slots", {})
-    refused = [s for s in states if s in slots and (slots[s].refusal or not slots[s].exact)]
+    refused = [s for s in states if s in simulator.unsettable]
     if refused:
         raise ProblemError(
             f"the state '{refused[0]}' cannot be started from a given value: the FMU calculates it",

@@ -6,30 +6,21 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 from fmu_build.suggest import suggestion
+from fmuid.core.campaign import Interface
 from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturbed_task, signal_and_property
-from fmuid.simulation.simulator import Simulator, Task, Variable, default_tolerance, takes_any_times
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _UNITS = {"gain": "1", "hardness": "1", "lag": "s", "delay": "s"}
 _IN_UNIT = ("offset", "saturation", "dead_zone")  # values in the signal's unit
 _COMMUTE = ("gain", "lag", "delay")  # effects that commute with differentiating the signal
 
 
-class _Filed(Simulator, Protocol):
-    """A simulator that was loaded from a file."""
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def token(self) -> str: ...
-
-
-class SignalModel:
+class SignalModel(Simulator):
     """A model with effects on its inputs and outputs.
 
     Parameters
@@ -48,9 +39,10 @@ class SignalModel:
     """
 
     def __init__(
-        self, simulator: _Filed, names: tuple[str, ...], differentiated: Collection[str] = frozenset()
+        self, simulator: Simulator, names: tuple[str, ...], differentiated: Collection[str] = frozenset()
     ) -> None:
         self.simulator, self._names, self._differentiated = simulator, names, frozenset(differentiated)
+        file = next(iter(simulator.files), None)
         self._of: dict[str, tuple[str, str]] = {}
         added = {}
         for name in names:
@@ -60,10 +52,10 @@ class SignalModel:
                 known = [n for n, v in simulator.variables.items() if v.causality in ("input", "output")]
                 asked = name.rpartition(".")[2]
                 fix = suggestion(asked, NEUTRAL) if signal in known else suggestion(signal, known)
-                raise FmuError(f"'{name}' is not an effect of an input or output", where=simulator.path, fix=fix)
+                raise FmuError(f"'{name}' is not an effect of an input or output", where=file, fix=fix)
             if signal in self._differentiated and prop not in _COMMUTE:
                 fix = "differentiate it in the model instead"
-                raise FmuError(f"'{signal}' is differentiated after its {prop}", where=simulator.path, fix=fix)
+                raise FmuError(f"'{signal}' is differentiated after its {prop}", where=file, fix=fix)
             self._of[name] = signal, prop
             unit = variable.unit if prop in _IN_UNIT else _UNITS.get(prop)
             added[name] = Variable(name, "parameter", "fixed", unit, NEUTRAL.get(prop, 0.0))
@@ -78,9 +70,14 @@ class SignalModel:
         return self._variables
 
     @property
-    def path(self) -> Path:
-        """The model's file."""
-        return self.simulator.path
+    def files(self) -> tuple[Path, ...]:
+        """Files of the model."""
+        return self.simulator.files
+
+    @property
+    def interface(self) -> Interface | None:
+        """How the model's FMU is simulated."""
+        return self.simulator.interface
 
     @property
     def token(self) -> str:
@@ -90,12 +87,12 @@ class SignalModel:
     @property
     def default_tolerance(self) -> float | None:
         """Relative solver tolerance for tasks that name none."""
-        return default_tolerance(self.simulator)
+        return self.simulator.default_tolerance
 
     @property
     def even_steps(self) -> bool:
         """Whether the model takes communication steps of one size only."""
-        return not takes_any_times(self.simulator)
+        return self.simulator.even_steps
 
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         """Return predictions, shape (len(task.outputs), N); see `fmuid.simulation.simulator.Simulator`."""
@@ -110,7 +107,7 @@ class SignalModel:
             task = replace(task, start_values=starts)
         if not effects:
             return self.simulator.simulate(task, plain)
-        any_times = takes_any_times(self.simulator)
+        any_times = not self.simulator.even_steps
         disturbed = disturbed_task(
             task, effects, task.outputs, {}, any_times=any_times, variables=self.simulator.variables
         )

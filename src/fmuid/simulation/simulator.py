@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol, runtime_checkable
+from pathlib import Path
 
-from fmuid.core.campaign import Interpolation
+from fmuid.core.campaign import Interface, Interpolation
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 
@@ -79,9 +80,9 @@ class Task:
     along
         Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
         derivatives of the outputs, direction by direction, below the outputs, so (1 + len(along)) * len(outputs)
-        rows. Only for simulators for which `differentiates` is true.
+        rows. Only for simulators for which `Simulator.differentiates` is true.
     linear
-        Inputs that are interpolated although the others are held, for simulators for which `interpolates` is true.
+        Inputs that are interpolated although the others are held, where `Simulator.interpolates_inputs` is true.
     band_limited
         The same for inputs that are band-limited.
     every
@@ -130,9 +131,10 @@ class EndedError(SimulationError):
         return partial(type(self), where=self.where, fix=self.fix, predictions=self.predictions), (self.what,)
 
 
-@runtime_checkable
-class Simulator(Protocol):
+class Simulator(ABC):
     """A model that can be simulated: an FMU, a reference model or an analytic one.
+
+    A subclass has `variables` and `simulate`, and replaces the defaults of what it can do in addition.
 
     Outputs at ``time[0]`` are those after initialisation with the first input sample; outputs at
     ``time[k+1]`` are those at the end of the step from ``time[k]``, before input sample k+1 is set, or after it
@@ -140,10 +142,11 @@ class Simulator(Protocol):
     """
 
     @property
+    @abstractmethod
     def variables(self) -> Mapping[str, Variable]:
         """Every variable by name."""
-        ...
 
+    @abstractmethod
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         """Return predictions, shape (len(task.outputs), N), with `Task.every` at every so many points only.
 
@@ -152,32 +155,63 @@ class Simulator(Protocol):
         SimulationError
             The run failed; there is no prediction for these parameters.
         """
-        ...
 
+    @property
+    def token(self) -> str:
+        """Identity of the model for fingerprints."""
+        return type(self).__qualname__
 
-def default_tolerance(simulator: Simulator) -> float | None:
-    """Return a simulator's relative tolerance for tasks that name none, None if it has no default."""
-    tolerance = getattr(simulator, "default_tolerance", None)
-    return None if tolerance is None else float(tolerance)
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that the model was loaded from, if any."""
+        return ()
 
+    @property
+    def interface(self) -> Interface | None:
+        """How an FMU is simulated; None if the model is no FMU."""
+        return None
 
-def differentiates(simulator: Simulator, names: Collection[str]) -> bool:
-    """Return whether a simulator differentiates its runs exactly with respect to `names` (see `Task.along`)."""
-    method = getattr(simulator, "differentiates", None)
-    return method is not None and bool(method(names))
+    @property
+    def needed_tool(self) -> str | None:
+        """The tool that must be installed to simulate the model, None if it needs none."""
+        return None
 
+    @property
+    def default_tolerance(self) -> float | None:
+        """Relative tolerance for tasks that name none, None if there is no default."""
+        return None
 
-def interpolates(simulator: Simulator) -> bool:
-    """Return whether a simulator interpolates some of its inputs while it holds others (see `Task.linear`)."""
-    return bool(getattr(simulator, "interpolates_inputs", False))
+    @property
+    def even_steps(self) -> bool:
+        """Whether further communication points change the model, and not only the accuracy of predictions."""
+        return False
 
+    @property
+    def interpolates_inputs(self) -> bool:
+        """Whether some inputs are interpolated while others are held (see `Task.linear`)."""
+        return False
 
-def takes_any_times(simulator: Simulator) -> bool:
-    """Return whether additional communication points only affect the accuracy of predictions."""
-    return not getattr(simulator, "even_steps", False)
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The continuous states by name, if a run can start from values of them."""
+        return ()
 
+    @property
+    def unsettable(self) -> frozenset[str]:
+        """The states that cannot be started from a given value."""
+        return frozenset()
 
-def needed_tool(simulator: Simulator) -> str | None:
-    """Return the tool that must be installed to simulate a model, None if it needs none."""
-    tool = getattr(simulator, "needed_tool", None)
-    return None if tool is None else str(tool)
+    @property
+    def segments(self) -> int:
+        """Number of segments that a run is cut into, 0 if it is simulated as a whole."""
+        return 0
+
+    @property
+    def nuisances(self) -> int:
+        """Number of unknowns that a run is fitted with in addition to the parameters."""
+        return 0
+
+    def differentiates(self, names: Collection[str]) -> bool:
+        """Return whether runs are differentiated exactly with respect to `names` (see `Task.along`)."""
+        del names
+        return False

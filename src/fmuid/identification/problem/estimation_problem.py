@@ -267,12 +267,12 @@ class Problem:
     @property
     def nuisances(self) -> int:
         """Number of unknowns fitted in addition to the free parameters: initial states of segments."""
-        return sum(getattr(case.simulator, "nuisances", 0) for case in self.cases)
+        return sum(case.simulator.nuisances for case in self.cases)
 
     @property
     def segments(self) -> int:
         """Number of segments that runs are cut into, 0 without."""
-        return sum(getattr(case.simulator, "segments", 0) for case in self.cases)
+        return sum(case.simulator.segments for case in self.cases)
 
     def sees(self, name: str) -> bool:
         """Return whether a parameter affects a model, a sensor or a tie of this problem."""

@@ -21,7 +21,7 @@ from fmuid.identification.problem.cases import Case, Channel
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.search_space import Move, SearchSpace
 from fmuid.simulation.runners import Job, Runner
-from fmuid.simulation.simulator import Task, differentiates
+from fmuid.simulation.simulator import Task
 
 _KEPT = 4_000_000  # numbers in cached Jacobians, 32 MB
 
@@ -129,7 +129,7 @@ class ExactDerivatives:
             for case in self._problem.cases:
                 along = [_direction(case, s, names) for s in slopes]
                 moved = {name for direction in along for name in direction}
-                if moved and not differentiates(case.simulator, moved):
+                if moved and not case.simulator.differentiates(moved):
                     self._tasks = None
                     break
                 self._tasks.append(replace(case.task, along=tuple(filter(None, along))))

@@ -19,7 +19,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.pool.parcels import name_of
 from fmuid.simulation.runners import Outcome, Runner
-from fmuid.simulation.simulator import Task, default_tolerance
+from fmuid.simulation.simulator import Task
 
 UNSEEN = 0.2
 _TIGHTEST = 1e-10
@@ -127,10 +127,10 @@ def accuracy(
     loosest: Sequence[float] = (),
 ) -> SolverAccuracy:
     """Do the same for any predictions: `sensed` returns those of the channels of a case by its number and task."""
-    pending = {k: [*loosest] for k, c in enumerate(cases) if default_tolerance(c.simulator) is not None}
+    pending = {k: [*loosest] for k, c in enumerate(cases) if c.simulator.default_tolerance is not None}
     for k, ladder in pending.items():
         own = cases[k].task.tolerance
-        tighter = loosest[-1] if loosest else own or default_tolerance(cases[k].simulator) or 0.0
+        tighter = loosest[-1] if loosest else own or cases[k].simulator.default_tolerance or 0.0
         ladder += [] if loosest else [own or 0.0]
         while tighter > 1.001 * _TIGHTEST:
             tighter = max(0.1 * tighter, _TIGHTEST)

@@ -26,7 +26,7 @@ from fmuid.simulation.coupled.feedthrough import find_loop, loop_text, stepping_
 from fmuid.simulation.coupled.layout import Layout, System, Wiring
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.fmu_library import ProcessSpentError
-from fmuid.simulation.simulator import Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable
 from fmuid.simulation.stepper import FUNCTIONS, Outcome, Patience, library
 
 _FATAL = 4
@@ -34,7 +34,7 @@ _CHECK_BUDGET = 0.5  # s for checking whether resets are equivalent to new insta
 _MAX_LAYOUTS = 64 * 2**20  # bytes of task layouts kept in memory; the oldest is dropped first
 
 
-class CoupledModel:
+class CoupledModel(Simulator):
     """Several FMUs stepped together by a master; a `Simulator`.
 
     A variable is named ``component.variable``; ports of the system have their own names. Between two communication
@@ -154,6 +154,11 @@ class CoupledModel:
         tokens = {name: fmu.token for name, fmu in self.components.items()}
         coupling = (tokens, self._main, self.connections, self.ports, sorted(self._starts.items()), self.master)
         return hashlib.sha256(repr(coupling).encode()).hexdigest()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file of the system, and those of its FMUs."""
+        return (self.path, *(fmu.path for fmu in self.components.values()))
 
     @property
     def default_experiment(self) -> Mapping[str, float]:

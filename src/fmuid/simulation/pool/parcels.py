@@ -12,6 +12,7 @@ from typing import Any
 
 from fmuid.core import scratch
 from fmuid.core.errors import FmuidError
+from fmuid.simulation.simulator import Simulator
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,4 +67,5 @@ def name_of(simulator: Any) -> str:
     """Return a simulator's name for errors: the name of its file or class."""
     if isinstance(simulator, Parcel):
         return simulator.name
-    return str(getattr(getattr(simulator, "path", None), "name", type(simulator).__name__))
+    files = simulator.files if isinstance(simulator, Simulator) else ()
+    return files[0].name if files else type(simulator).__name__
