@@ -88,12 +88,8 @@ def _fmuid(*words: str) -> tuple[int, str]:
 
 
 def _tolerance(order: dict[str, Any]) -> list[str]:
-    """Return the options that state how exact the model has to be, if the program has them."""
-    from fmuid.cli import identifying
-
-    if "tolerance" not in identifying.diagnose.__annotations__:
-        return []
-    return [word for name, value in order["tolerance"].items() for word in ("--tolerance", f"{name}={value!r}")]
+    """Return the options that state how exact the model has to be."""
+    return [word for name, value in order["tolerance"].items() for word in ("--tolerance", f"{name}={value}")]
 
 
 def _seconds() -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -26,6 +26,7 @@ from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
+from fmuid.diagnosis.tolerance import tolerances
 from fmuid.diagnosis.unit_to_unit import between_machines
 from fmuid.diagnosis.varying import course_of
 from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Rest, Verdict
@@ -37,7 +38,7 @@ from fmuid.identification.result import Result
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.pool.choice import runner_on
 from fmuid.simulation.recorded import RecordedSimulations
-from fmuid.simulation.runners import in_process
+from fmuid.simulation.runners import Runner, in_process
 
 if TYPE_CHECKING:
     from fmuid.report.document import Drawing
@@ -67,6 +68,7 @@ def diagnose(
     seed: int = 0,
     rehearse: int = 0,
     law: bool = True,
+    tolerance: Mapping[str, float | str] | None = None,
 ) -> Found:
     """Locate the gap between model and measurements, and name the unmodelled effect that causes it.
 
@@ -107,6 +109,9 @@ def diagnose(
         comes with the package.
     law
         Whether to look for an equation where the verdict leaves more than noise.
+    tolerance
+        By signal, the largest error (RMS) that is tolerated: a number in the log's unit, a text with a unit, or
+        ``"5%"`` of the signal's range. If the error on left-out data is within it, the verdict is *complete*.
 
     Returns
     -------
@@ -146,7 +151,7 @@ def diagnose(
             runner = recorded.over(runner)
         say("noise floor", 0.0)
         campaign = with_catalogue(campaign, load_simulator, runner=runner)
-        subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
+        subject = _subject(campaign, runner, experiments, tolerance or {})
         key = calibration.key_of(_files(campaign, subject), subject)
         rehearsal = _rehearsed(subject, rehearse, seed, say) if rehearse else []
         if rehearse:
@@ -154,7 +159,7 @@ def diagnose(
         found = diagnose_subject(subject, say=say, seed=seed, calibration=calibration.kept(key))
         if (retimed := with_timing_of_log(campaign, found, runner)) is not None:
             campaign, note = retimed
-            subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
+            subject = _subject(campaign, runner, experiments, tolerance or {})
             found = diagnose_subject(subject, seed=seed, calibration=calibration.kept(key))
             found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
         discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
@@ -173,6 +178,15 @@ def diagnose(
     # The workers have ended, so any further simulation runs in this process.
     model = replace(found.subject.model, runner=in_process)
     return replace(found, subject=replace(found.subject, model=model))
+
+
+def _subject(
+    campaign: Campaign, runner: Runner, experiments: Sequence[str], tolerance: Mapping[str, float | str]
+) -> Subject:
+    from fmuid.simulation.coupled.loading import load_simulator
+
+    subject = subject_of(campaign, load_simulator, runner=runner, experiments=experiments)
+    return replace(subject, tolerances=tolerances(tolerance, subject.model.cases))
 
 
 def campaign_from(
@@ -218,7 +232,7 @@ def _rehearsed(subject: Subject, count: int, seed: int, say: Say) -> list[Trial]
             where="rehearse",
             fix="omit rehearse",
         )
-    unmapped = Calibration()
+    unmapped, subject = Calibration(), replace(subject, tolerances={})
     first = diagnose_subject(subject, seed=seed, calibration=unmapped)
 
     def weights(plant: Subject) -> tuple[Verdict, dict[tuple[str, ...], float]]:

@@ -43,9 +43,10 @@ def logs(folder, conductance, seed=1):
                 own = conductance(value, wind[k], time[k])
                 value += STEP / 10 * (power[k] - own * (value - outdoors[k])) / 2e4
         seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
-        rows = np.column_stack([time, power, outdoors, wind, seen])
+        gust = wind + 0.5 * rng.standard_normal(SAMPLES)  # a worse anemometer
+        rows = np.column_stack([time, power, outdoors, wind, gust, seen])
         file = folder / f"day_{run}.csv"
-        np.savetxt(file, rows, "%.6f", ",", header="time,P [W],T_out [K],wind [m/s],T [K]", comments="")
+        np.savetxt(file, rows, "%.6f", ",", header="time,P [W],T_out [K],wind [m/s],gust [m/s],T [K]", comments="")
         paths[file.stem] = file
     return paths
 

@@ -372,7 +372,7 @@ def write_case(case: Case, folder: Path) -> dict[str, str]:
         logs.append(damaged.name)
     (folder / f"{class_name(rig)}.mo").write_text(modelica(rig), encoding="utf-8")
     # A user knows about how exact the model has to be: to a noise floor.
-    tolerance = {s.name: float(f"{n:.3g}") for s, n in zip(rig.outputs, rig.noise, strict=True)}
+    tolerance = {s.name: f"{n:.3g} {s.unit}" for s, n in zip(rig.outputs, rig.noise, strict=True)}
     order = {"logs": logs, "model": f"{class_name(rig)}.mo", "class": class_name(rig), "tolerance": tolerance}
     (folder / "order.json").write_text(json.dumps(order, indent=1) + "\n", encoding="utf-8")
     return hashes

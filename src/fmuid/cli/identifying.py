@@ -15,7 +15,7 @@ import typer
 from fmuid.cli import completion
 from fmuid.cli.diagnosis_text import print_diagnosis, print_validation
 from fmuid.cli.interruption import INTERRUPTED
-from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust, writable
+from fmuid.cli.output import CampaignPath, Json, Printer, Quiet, Trust, pairs, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes, supervised
 from fmuid.core.errors import FmuidError
 
@@ -219,6 +219,16 @@ def diagnose(
     law: Annotated[
         bool, typer.Option(help="Search for an equation if no effect of the catalogue explains the gap.")
     ] = True,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SIGNAL=VALUE",
+            help=(
+                "Largest error (RMS) of a signal that is tolerated (repeat): in the log's unit, with a unit"
+                " ('s=0.2 mm'), or as a share of its range (s=5%)."
+            ),
+        ),
+    ] = None,
     trust: Trust = False,
     json: Json = None,
     json_version: Annotated[int, typer.Option(min=2, max=3, help="Version of the JSON written with --json.")] = 3,
@@ -242,7 +252,7 @@ def diagnose(
     folder = out or Path("runs") / f"{loaded.name}-diagnosis"
     printer = Printer(quiet, json)
     asked: dict[str, Any] = {"--from": from_, "--experiment": experiment, "--measurements": measurements}
-    asked |= {"--seed": seed}
+    asked |= {"--seed": seed, "--tolerance": tolerance}
     asked |= {"--rehearse": rehearse, "--no-law": not law, "--trust": trust}
     again = _again("diagnose", campaign, folder, asked)
     with (
@@ -263,6 +273,7 @@ def diagnose(
             seed=seed,
             rehearse=rehearse,
             law=law,
+            tolerance=pairs(tolerance or (), "--tolerance"),
         )
     answer = answer_of(found, loaded)
     print_diagnosis(answer, printer)

@@ -309,6 +309,12 @@ def weigh(
     return {effects: w / total for effects, w in weights.items()}
 
 
+def with_none(weights: Mapping[tuple[str, ...], float], sure: float) -> dict[tuple[str, ...], float]:
+    """Return the weights with that of `NONE` at `sure`, and the others in proportion."""
+    others = max(1.0 - weights[NONE], 1e-12)
+    return {n: sure if n == NONE else w * (1.0 - sure) / others for n, w in weights.items()}
+
+
 def _of_rivals(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: Observed) -> float:
     """Return the weight, relative to the best answer, of as large sets of effects that have not survived."""
     if not surviving:

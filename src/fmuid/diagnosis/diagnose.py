@@ -41,6 +41,7 @@ from fmuid.diagnosis.scores import Score, nominal_basis
 from fmuid.diagnosis.segment_states import with_states
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
+from fmuid.diagnosis.tolerance import tolerated
 from fmuid.diagnosis.verdict import (
     NONE,
     UNKNOWN,
@@ -58,6 +59,7 @@ from fmuid.diagnosis.verdict import (
 
 _RESTARTS = 3  # of the search, from a better optimum of the nominal parameters that it found
 _UNSETTLED = 0.01  # share of the cost that refits of the search may leave: ten of the iterations that ended them
+_LIKELIER_THAN_NOT = 0.5  # probability from which a model counts as complete to within the user's tolerance
 _TO_THE_END = 1e-9  # share of the cost: a gain of half a squared standard deviation ends a refit before that
 
 
@@ -221,6 +223,9 @@ def diagnose_subject(
     found = replace(found, candidates=candidates, best=best)
     closing = Closing(subject, nominal, evidence.null)
     judgement = _judge(subject, found, closing, say)
+    errors = tolerated(subject, nominal)
+    if enough := bool(errors) and min(e.probability for e in errors) >= _LIKELIER_THAN_NOT:
+        judgement = Judgement(Verdict("complete", within_tolerance=True), judgement.surviving[:1])
     say("deciding", 0.95)
     weights = decide.weigh(
         nominal,
@@ -233,6 +238,8 @@ def diagnose_subject(
     )
     calibrated = shipped() if calibration is None else calibration
     probability = calibrated.apply(judgement.verdict, weights)
+    if enough:
+        probability = decide.with_none(weights, min(e.probability for e in errors))
     judgement = _ranked(judgement, probability, calibrated=calibrated.trials > 0)
     verdict = judgement.verdict
     if judgement.named:
@@ -291,6 +298,7 @@ def diagnose_subject(
         outliers=subject.outliers,
         best=None if explained is None else closing.best(explained),
         equal=equal,
+        tolerated=errors,
     )
     return Found(
         diagnosis,

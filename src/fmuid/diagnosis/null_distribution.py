@@ -122,17 +122,21 @@ def draw_noise(
         if len(c):
             own[:] = c.T @ (rng.standard_normal((len(c), draws)) / np.sqrt(len(c)))
             mixed = _by_blocks(c, len(run.channels), draws, rng)
-            if np.any(observed.noise[run.setup].repeating):  # absent from every contrast
-                course = None if predicted is None else predicted[e]
-                shared = rounding_draws(
-                    run, observed.noise[run.setup], course=course, draws=draws, seed=seed + e * len(run.channels)
-                )
-                both = np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
-                own += both
-                mixed += both
         else:
             own[:] = rng.standard_normal((w.size, draws))
-            mixed = own
+            mixed = own.copy()
+        if np.any(observed.noise[run.setup].repeating):  # absent from every contrast
+            course = None if predicted is None else predicted[e]
+            shared = rounding_draws(
+                run, observed.noise[run.setup], course=course, draws=draws, seed=seed + e * len(run.channels)
+            )
+            both = np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
+            if not len(c):  # of unit variance with the rounding
+                white = np.sqrt(np.maximum(1.0 - np.mean(both**2, axis=1, keepdims=True), 0.0))
+                own *= white
+                mixed *= white
+            own += both
+            mixed += both
         if observed.nuisances:
             own[:], mixed = (project_off(x, observed.nuisances[e]) for x in (own, mixed))
         of_runs += _energy(weights[e], own)

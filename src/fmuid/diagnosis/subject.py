@@ -42,7 +42,8 @@ class Subject:
     """Model, measurements with their noise, nominal parameters and effects to consider.
 
     `recordings` are the runs in use, by id, with their digests. `modelled` are the effects of the catalogue that
-    the campaign's own values put into the model, with these values: they are not candidates.
+    the campaign's own values put into the model, with these values: they are not candidates. `tolerances` are the
+    largest errors that the user tolerates, by signal.
     """
 
     model: CampaignModel
@@ -54,6 +55,7 @@ class Subject:
     modelled: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[str, ...] = ()
     outliers: tuple[LeftOut, ...] = ()
+    tolerances: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def by_id(self) -> Mapping[str, Effect]:

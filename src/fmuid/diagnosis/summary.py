@@ -114,7 +114,8 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
         found.append(
             Fact("Stable", "no: without one of the experiments, another answer would be preferred", "warn")
         )
-    if verdict["kind"] == "unknown" or (verdict["kind"] == "insufficient" and gap["present"]):
+    found += _errors(diagnosis.get("tolerated") or ())
+    if verdict["kind"] in ("unknown", "insufficient", "complete") and gap["present"]:
         found += _closest(diagnosis)
     found += _law_found(diagnosis)
     found += _tables(diagnosis)
@@ -143,6 +144,8 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
             f"The best explanation is {_listed(explained['effects'], 'with')}: with it,"
             f" {_reduction(explained['closure'])}."
         )
+    if diagnosis.get("tolerated"):
+        lines.append(f"On data that were not used, {_tolerated(diagnosis['tolerated'])}.")
     if verdict.get("provisional"):
         lines.append(_provisional(diagnosis))
     if verdict.get("rest"):
@@ -220,6 +223,20 @@ def closure_text(closure: Mapping[str, Any]) -> str:
 
 def _rest_text(rest: Mapping[str, Any]) -> str:
     return f"{rest['gap']:.2g} times the noise" + (f", most of it {rest['where']}" if rest["where"] else "")
+
+
+def _errors(tolerated: Sequence[Mapping[str, Any]]) -> tuple[Fact, ...]:
+    return (Fact("Errors and tolerances", _tolerated(tolerated)),) if tolerated else ()
+
+
+def _tolerated(errors: Sequence[Mapping[str, Any]]) -> str:
+    """Return the errors on left-out data beyond the noise, with what is tolerated."""
+    lines = []
+    for e in errors:
+        unit = f" {e['unit']}" if e["unit"] else ""
+        limit = "no tolerance stated" if e["tolerance"] is None else f"{e['tolerance']:.3g}{unit} tolerated"
+        lines.append(f"{e['signal']} is off by {e['error']:.2g}{unit} beyond the noise ({limit})")
+    return "; ".join(lines)
 
 
 def _listed(names: Sequence[str], last: str) -> str:
@@ -319,6 +336,8 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     # Ids of generated catalogues already contain the port.
     at = f" at {', '.join(ports)}" if len(ports) == 1 and not any("@" in n for n in named(verdict)) else ""
     match verdict["kind"]:
+        case "complete" if verdict.get("within_tolerance"):
+            return f"Complete to within the tolerance{sure}"
         case "complete":
             return f"Complete{sure}: nothing is missing that these experiments could show"
         case "effect":

@@ -41,6 +41,8 @@ class Verdict:
     provisional
         Whether slow noise or something unknown is not excluded: the probability is below 0.9, but what the effects
         close on left-out data is more than chance.
+    within_tolerance
+        Whether the model is complete to within the tolerances that the user stated, whatever it lacks.
     """
 
     kind: Kind
@@ -50,6 +52,7 @@ class Verdict:
     stable: bool | None = None
     rest: Rest | None = None
     provisional: bool = False
+    within_tolerance: bool = False
 
     @property
     def answers(self) -> tuple[tuple[str, ...], ...]:
@@ -63,6 +66,27 @@ class Verdict:
                 return tuple((*self.effects, *others) for others in self.one_of)
             case _:
                 return (self.effects,)
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerated:
+    """The error of a signal on left-out data against the user's tolerance.
+
+    Attributes
+    ----------
+    error
+        Root mean square error of the refitted nominal model beyond the noise, in `unit`.
+    tolerance
+        The largest error that is tolerated; None for a signal without a tolerance whose error exceeds the noise.
+    probability
+        Probability that the error is within the tolerance, or within the noise.
+    """
+
+    signal: str
+    unit: str
+    error: float
+    tolerance: float | None
+    probability: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -497,6 +521,8 @@ class Diagnosis:
         The best explanation of the gap; None if there is no gap, or nothing closes a part of it.
     equal
         Groups of sets of effects that are one model under several names.
+    tolerated
+        The model's errors against the tolerances that the user stated.
     """
 
     verdict: Verdict
@@ -517,6 +543,7 @@ class Diagnosis:
     machines: BetweenMachines | None = None
     best: Best | None = None
     equal: tuple[tuple[tuple[str, ...], ...], ...] = ()
+    tolerated: tuple[Tolerated, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `diagnosis.schema.json` describes."""
@@ -533,6 +560,7 @@ class Diagnosis:
                 "stable": verdict.stable,
                 "rest": None if verdict.rest is None else asdict(verdict.rest),
                 "provisional": verdict.provisional,
+                **({"within_tolerance": True} if verdict.within_tolerance else {}),
             },
             "best": None if self.best is None else self.best.to_dict(),
             "refinements": [] if self.best is None else [r.to_dict() for r in self.best.refinements],
@@ -566,6 +594,7 @@ class Diagnosis:
             "hidden": {"unseen": list(self.hidden.unseen), "imitated": list(self.hidden.imitated)},
             "outliers": [asdict(o) for o in self.outliers],
             "law_found": None if self.law_found is None else self.law_found.to_dict(),
+            **({"tolerated": [asdict(t) for t in self.tolerated]} if self.tolerated else {}),
             **({} if self.machines is None else {"machines": self.machines.to_dict()}),
         }
 

@@ -22,7 +22,7 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_along, rounding_errors
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.data.noise.single_run import single_run_variance
+from fmuid.data.noise.single_run import fast_variance, single_run_variance
 from fmuid.data.noise.transform import coefficient_frequencies, real_spectrum
 
 _BANDS_PER_OCTAVE = 1
@@ -149,7 +149,7 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
     """Estimate the noise of one setup from the differences between repeats.
 
     Without repeats, the noise is taken as white, with the standard deviation given by the user or else a
-    model-free bound (`fmuid.data.noise.single_run`).
+    model-free bound (`fmuid.data.noise.single_run`); rounding errors of quantised signals are added.
 
     Parameters
     ----------
@@ -218,7 +218,10 @@ def estimate_noise(runs: Sequence[RepeatedRuns]) -> SetupNoise:
 
 def _without_repeats(runs: Sequence[RepeatedRuns], given: FloatArray, step: FloatArray, dt: float) -> SetupNoise:
     channels, known = runs[0].channels, np.isfinite(given)
-    bound = [single_run_variance([r.values[:, c] for r in runs], q) for c, q in enumerate(step.tolist())]
+    values = [[r.values[:, c] for r in runs] for c in range(len(channels))]
+    # What the differences show of a counter's error is fast; the rest follows the signal.
+    repeating = np.where(known, 0.0, repeating_variance(np.array([fast_variance(own) for own in values]), step))
+    bound = [single_run_variance(*of) for of in zip(values, step.tolist(), repeating.tolist(), strict=True)]
     variance = np.where(known, np.nan_to_num(given) ** 2, bound)
     if np.any(variance <= 0.0):
         raise ProblemError(
@@ -236,7 +239,7 @@ def _without_repeats(runs: Sequence[RepeatedRuns], given: FloatArray, step: Floa
         mean_variance=np.where(known, 0.0, variance),
         degrees_of_freedom=np.array([np.inf]),
         step=step,
-        repeating=np.zeros(len(channels)),
+        repeating=repeating,
         calibrated=bool(known.all()),
         bounded=not known.all(),
     )
