@@ -18,8 +18,8 @@ from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import FILE as RESULT
 from fmuid.identification.validate import predicted
 from fmuid.page.elements import Charts, Choice, Slider, button, element, set_text, text, told
-from fmuid.page.next_experiment import NextExperiment
 from fmuid.page.outcome import Outcome, in_log_units, of_corrected, outcome_at
+from fmuid.page.proposed_run import NextExperiment
 from fmuid.page.workspace import Workspace
 from fmuid.report.figures import Overlay, overlay_figure
 from fmuid.report.plots.figure_data import pretty_unit
