@@ -58,10 +58,40 @@ def test_robust_errors_are_marked_and_explained(analytic):
     assert "k" in stage.uncertainty.robust
     assert stage["k"].note == "robust"
     assert "robust" in str(stage).splitlines()[2]
-    assert any("k: robust standard errors, from the scatter between 6 experiments" in w for w in stage.warnings)
+    assert any(
+        "k, T, b: robust standard errors, from the scatter between 6 experiments" in w for w in stage.warnings
+    )
     plain = identify(runs(analytic, "white", 1)).stages[0]
     assert plain.uncertainty.robust == ()
     assert "note" not in str(plain).splitlines()[1]
+
+
+def test_equal_experiments_have_one_degree_of_freedom_less_than_their_number(analytic):
+    """One that dominates leaves fewer: the scatter of the others is that of estimates that hardly count."""
+    wide = lambda time, inputs, p: {"y": p["a"] * np.sin(time) * inputs["u"]}  # noqa: E731
+
+    def degrees(sizes):
+        random, model = np.random.default_rng(0), analytic(wide, ["a"])
+        cases = []
+        for k, size in enumerate(sizes):
+            y = size * np.sin(TIME) * (1.0 + 0.3 * random.standard_normal()) + SIGMA * random.standard_normal(300)
+            task = Task(TIME, {"u": np.full(300, size)}, ("y",))
+            cases.append(measured_case(f"run{k}", model, task, {"y": y}, sigma={"y": SIGMA}))
+        found = identify(Problem(cases, [ParameterSpec("a", 0.5)])).stages[0].uncertainty
+        assert found.robust == ("a",)
+        return found.degrees[0]
+
+    assert degrees([1.0] * 5) == pytest.approx(4.0)
+    assert 1.0 <= degrees([10.0, 1.0, 1.0, 1.0, 1.0]) < 2.0
+
+
+@pytest.mark.parametrize(("kind", "count"), [("friction", 1), ("friction", 2), ("white", 2), ("friction", 6)])
+def test_too_few_experiments_are_named_where_the_model_does_not_follow_them(analytic, kind, count):
+    stage = identify(runs(analytic, kind, 1, count=count)).stages[0]
+    doubts = [w for w in stage.warnings if "intervals may be too narrow" in w]
+    assert len(doubts) == (kind == "friction" and count <= 2)
+    if doubts:
+        assert f"{count} experiment{'s do' if count > 1 else ' does'} not show" in doubts[0]
 
 
 def test_a_residual_that_is_not_white_is_in_the_headline(analytic):

@@ -17,6 +17,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 
 Rows = NDArray[np.intp]
+EXPERIMENTS = "experiments"
 _FEWEST = 2  # runs that a variance from run to run needs
 _ENOUGH = 8  # clusters; with fewer runs, blocks of time are looked at as well
 _SHORTEST = 30  # samples of a block
@@ -31,8 +32,8 @@ CHANCE, PLAIN = (
 class Clustered:
     """Variances (n,) of the estimate from the scatter between clusters, and how they are distributed.
 
-    `degrees` (n,) are those of the t-distribution, as many as clusters inform on a parameter (Satterthwaite), less
-    one; `clusters` is their number, `of` what they are in words, `p_value` the
+    `degrees` (n,) are those of the t-distribution: one less than the clusters that inform on a parameter, fewer if
+    some of them dominate (Satterthwaite). `clusters` is their number, `of` what they are in words, `p_value` the
     probability of a scatter between them as large if the residuals have the given noise (1 if it is unknown).
     """
 
@@ -47,6 +48,32 @@ class Clustered:
         from scipy.special import chdtri
 
         return np.asarray(self.variances > variances * chdtri(self.degrees, chance) / self.degrees)
+
+    def wider_than(self, variances: FloatArray, degrees: FloatArray) -> NDArray[np.bool_]:
+        """Return (n,) whether its interval is wider than that of other variances and degrees of freedom."""
+        from scipy.special import stdtrit
+
+        return np.asarray(
+            stdtrit(self.degrees, 0.975) ** 2 * self.variances > stdtrit(degrees, 0.975) ** 2 * variances
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Apart:
+    """Residuals (m,) without the moves of each run, and how many parameters the runs have moved together."""
+
+    residuals: FloatArray
+    removed: int
+
+
+def without_moves(problem: Problem, residuals: FloatArray, j: FloatArray) -> Apart:
+    """Return the (m,) residuals after every run has moved the parameters of the Jacobian on its own."""
+    left, removed = residuals.copy(), 0
+    for rows in _rows(problem, 1):
+        move, _, rank, _ = np.linalg.lstsq(j[rows], residuals[rows], rcond=1e-7)
+        left[rows] -= j[rows] @ move
+        removed += int(rank)
+    return Apart(left, removed)
 
 
 def clustered(
@@ -64,7 +91,7 @@ def clustered(
         Samples over which residuals are correlated; None if they are white, so that blocks of time show no more.
     """
     runs = _rows(problem, 1)
-    found = [_between(runs, residuals, j, noise, "experiments")] if len(runs) >= _FEWEST else []
+    found = [_between(runs, residuals, j, noise, EXPERIMENTS)] if len(runs) >= _FEWEST else []
     if len(runs) < _ENOUGH and memory is not None:
         longest = min(len(case.time) for case in problem.cases)
         parts = min(-(-_ENOUGH // len(runs)), longest // max(_SHORTEST, 2 * memory))
@@ -94,15 +121,17 @@ def _between(
     count, n = len(groups), j.shape[1]
     values, vectors = np.linalg.eigh(j.T @ j)
     root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))  # j @ root has orthonormal columns
-    moves, expected = np.zeros((count, n)), np.zeros((count, n))
+    moves, expected, pull = np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n, n))
     score, rank = 0.0, 0
     for k, rows in enumerate(groups):
         part = j[rows] @ root
         shares, axes = np.linalg.eigh(part.T @ part)
         shares = np.clip(shares, 0.0, 1.0)
-        scores, axes = axes.T @ (part.T @ residuals[rows]), root @ axes
-        moves[k] = axes @ (scores / np.sqrt(1.0 - np.minimum(shares, _LEVERAGE)))
+        scores, turned, axes = axes.T @ (part.T @ residuals[rows]), axes, root @ axes
+        weights = 1.0 / np.sqrt(1.0 - np.minimum(shares, _LEVERAGE))
+        moves[k] = axes @ (scores * weights)
         expected[k] = axes**2 @ shares
+        pull[k] = (axes * (shares * weights)) @ turned.T
         seen = shares > 1e-9
         level = np.mean(noise[rows] ** 2)
         if level > 0.0:
@@ -111,8 +140,20 @@ def _between(
     spare = rank - n
     return Clustered(
         np.sum(moves**2, axis=0),
-        np.clip(np.sum(expected, axis=0) ** 2 / np.sum(expected**2, axis=0) - 1.0, 1.0, count - 1.0),
+        np.clip(_degrees(expected, pull), 1.0, count - 1.0),
         count,
         of,
         float(chdtrc(spare, score)) if spare > 0 else 1.0,
     )
+
+
+def _degrees(expected: FloatArray, pull: FloatArray) -> FloatArray:
+    """Return the (n,) degrees of freedom by which the clusters' moves scatter, for residuals that are white.
+
+    The moves (K, n) have the variances `expected`, (K, n), and are correlated because each cluster pulls the
+    estimate, by `pull` (K, n, n), from where the others would have it (Satterthwaite's approximation).
+    """
+    products = np.einsum("kni,lni->nkl", pull, pull)
+    count = np.arange(len(expected))
+    products[:, count, count] = expected.T
+    return np.asarray(np.sum(expected, axis=0) ** 2 / np.sum(products**2, axis=(1, 2)))

@@ -15,7 +15,14 @@ from fmuid.identification.problem.derivatives import Differences, EvaluateMany, 
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.uncertainty.active_constraints import Active, active_constraints, tangent_space
-from fmuid.identification.uncertainty.clusters import CHANCE, PLAIN, Clustered, clustered
+from fmuid.identification.uncertainty.clusters import (
+    CHANCE,
+    EXPERIMENTS,
+    PLAIN,
+    Clustered,
+    clustered,
+    without_moves,
+)
 from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score_covariance
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 from fmuid.identification.uncertainty.inherited import Held, effective_degrees
@@ -26,6 +33,7 @@ _DOUBTED = 0.01  # significance at which residuals contradict a given sigma
 _MISSED, _LARGE = 1e-6, 4.0  # p-value, and mean square in sigmas, of a run that the model does not follow
 _EXPLODED = 100.0  # growth of sensitivities over a run at which segments help
 _CHAOTIC = 1e-3  # relative scatter of predictions under tiny changes of the parameters
+_FEW = 2.0  # degrees of freedom that the scatter between experiments needs to be known
 _TWO = 0.01  # two clusters have an interval that is six times as wide
 _COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
@@ -205,6 +213,8 @@ class _Scatter:
     parameters: int
     robust: Mapping[int, Clustered] = field(default_factory=dict)
     plain: frozenset[int] = frozenset()  # those whose scatter between clusters is plainly larger
+    experiments: int = 0
+    few: tuple[int, ...] = ()  # those whose scatter between experiments is unknown
 
 
 def _scatter(
@@ -244,17 +254,41 @@ def _scatter(
     effective = sum(w.effective for w in whiteness) + others - parameters
     # Segments restart, so they are as many independent samples (Cameron and Miller 2015: t with clusters - 1).
     freedom = max(effective, problem.segments - (parameters - problem.nuisances), 1.0)
-    return _by_clusters(by(covariance, freedom), clusters)
+    scatter = by(covariance, freedom)
+    if clusters:
+        scatter = _by_clusters(scatter, clusters, _within(problem, here, j, bread, covariance))
+    between = np.max([c.degrees for c in clusters if c.of == EXPERIMENTS] or np.zeros((1, j.shape[1])), axis=0)
+    few = [k for k in range(j.shape[1]) if between[k] < _FEW and k not in scatter.robust]
+    return replace(scatter, experiments=len(problem.cases), few=tuple(few))
 
 
-def _by_clusters(scatter: _Scatter, clusters: Sequence[Clustered]) -> _Scatter:
-    """Return the scatter with the variances between clusters where they are larger."""
+def _within(
+    problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return the (n,) variances that the noise within the runs explains.
+
+    They follow from what each run leaves after it has moved the parameters on its own, so that a parameter that
+    differs between the runs does not raise them. Runs of too few independent samples explain the `covariance`.
+    """
+    apart = without_moves(problem, here.residuals, j)
+    scores = score_covariance(problem, replace(here, residuals=apart.residuals), j)
+    effective = sum(w.effective for w in scores.whiteness)
+    variances = np.diag(covariance)
+    if effective <= 2.0 * apart.removed:
+        return variances
+    return np.minimum(variances, effective / (effective - apart.removed) * np.diag(bread @ scores.meat @ bread))
+
+
+def _by_clusters(scatter: _Scatter, clusters: Sequence[Clustered], within: FloatArray) -> _Scatter:
+    """Return the scatter with the variances between clusters where they exceed those `within` runs, (n,)."""
     covariance, robust, plain = scatter.covariance, dict[int, Clustered](), set[int]()
+    degrees = np.full(len(within), scatter.degrees)
     for cluster in clusters:
-        before = np.diag(covariance)
-        larger = cluster.exceeding(before, CHANCE if cluster.clusters > 2 else _TWO)
+        larger = cluster.exceeding(within, CHANCE if cluster.clusters > 2 else _TWO)
+        larger &= cluster.wider_than(np.diag(covariance), degrees)
+        degrees = np.where(larger, cluster.degrees, degrees)
         robust |= dict.fromkeys(np.flatnonzero(larger).tolist(), cluster)
-        plain |= set(np.flatnonzero(cluster.exceeding(np.diag(scatter.covariance), PLAIN)).tolist())
+        plain |= set(np.flatnonzero(cluster.exceeding(within, PLAIN)).tolist())
         covariance = _not_below(covariance, np.diag(np.where(larger, cluster.variances, 0.0)))
     return replace(scatter, covariance=covariance, robust=robust, plain=frozenset(plain & robust.keys()))
 
@@ -303,16 +337,27 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Seque
             f"{found}: robust standard errors, from the scatter between {cluster.clusters} {cluster.of}, which is "
             "larger than their residuals explain"
         )
+    if scatter.few and any(map(_missed, scatter.whiteness)):
+        count = "1 experiment does" if scatter.experiments == 1 else f"{scatter.experiments} experiments do"
+        notes.append(
+            f"the residuals are more than white noise, and {count} not show how much estimates differ between "
+            f"experiments: intervals may be too narrow: {', '.join(names[k] for k in scatter.few)}"
+        )
     if fixed:
         notes.append(f"no standard error, because the active constraints alone determine: {', '.join(fixed)}")
     return notes
+
+
+def _missed(whiteness: Whiteness) -> bool:
+    """Return whether a model does not follow a signal of a run."""
+    return whiteness.p_value < _MISSED or whiteness.variance > _LARGE
 
 
 def _exploding(
     problem: Problem, scaled: FloatArray, whiteness: Sequence[Whiteness], floor: NoiseFloor
 ) -> list[str]:
     """Advise segments where sensitivities, (m, n), grow without bound over runs that the model does not follow."""
-    missed = {w.case for w in whiteness if w.p_value < _MISSED or w.variance > _LARGE}
+    missed = {w.case for w in whiteness if _missed(w)}
     growth: dict[str, float] = {}
     for (case, criterion), place in zip(problem.criteria, problem.slices, strict=True):
         if criterion.rows is None or case.id not in missed or not (early := len(criterion.rows) // 5):
