@@ -6,10 +6,10 @@ from pathlib import Path
 
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import find_ports
-from fmuid.diagnosis.laws import SIZES, Place
 from fmuid.diagnosis.made_catalogue import catalogue_text
 from fmuid.effects.effect import Catalogue
 from fmuid.effects.effects_file import load_catalogue
+from fmuid.effects.laws import SIZES, Place
 
 HEAD = 'format = "fmuid-effects"\nversion = 1\n'
 

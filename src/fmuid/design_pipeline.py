@@ -23,9 +23,9 @@ from fmuid.design.excitation_search import Excitation
 from fmuid.design.parameters import Optimality, ParameterDesign, design_for_parameters
 from fmuid.design.planned import Planned
 from fmuid.design.rivals import SETTLED, DiagnosisDesign, design_for_diagnosis, rivals_of
+from fmuid.diagnosis.corrected import read_diagnosis
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import subject_of
-from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.diagnosis_pipeline import campaign_from
 from fmuid.identification.result import FILE as RESULT

@@ -10,7 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmuid.core.campaign import Campaign
+import numpy as np
+
+from fmuid.core.campaign import Campaign, without_owner
 from fmuid.core.errors import CampaignError, FmuidError, SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
@@ -19,15 +21,14 @@ from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
+from fmuid.diagnosis.decide import tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.extended_model import Prediction
-from fmuid.diagnosis.log_timing import with_timing_of_log
+from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS
 from fmuid.diagnosis.subject import Subject, carrier, subject_of
 from fmuid.diagnosis.summary import sentences
-from fmuid.diagnosis.tolerance import tolerances
-from fmuid.diagnosis.unit_to_unit import between_machines
 from fmuid.diagnosis.varying import course_of
 from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Rest, Verdict
 from fmuid.discovery.find_law import Candidate, find_law
@@ -35,13 +36,55 @@ from fmuid.discovery.injected import entry
 from fmuid.discovery.learned_table import Tabulated, tabulate
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.result import Result
+from fmuid.init.timing import chosen, conventions_of
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.pool.choice import runner_on
 from fmuid.simulation.recorded import RecordedSimulations
 from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.signal_effects import signal_and_property
 
 if TYPE_CHECKING:
     from fmuid.report.document import Drawing
+
+
+def with_timing_of_log(campaign: Campaign, found: Found, runner: Runner) -> tuple[Campaign, str] | None:
+    """Return the campaign with the timing that explains a lag or delay of less than a sample, and a note.
+
+    None if the diagnosis has no such lag or delay, or if no other timing explains it.
+    """
+    setups = {}
+    for setup in dict.fromkeys(case.setup for case in found.subject.model.cases):
+        cases = [case for case in found.subject.model.cases if case.setup == setup]
+        if not _is_late(found, min(float(np.median(np.diff(case.time))) for case in cases)):
+            continue
+        values = {**found.subject.model.fixed, **{u.name: u.start for u in found.subject.nominal}}
+        names = {without_owner(u.name) for u in found.subject.nominal}
+        convention = chosen(conventions_of(cases, values, names, runner))
+        if convention.explains and convention.timing != campaign.models[setup].timing:
+            setups[setup] = convention
+    if not setups:
+        return None
+    models = {s: replace(m, timing=setups[s].timing) if s in setups else m for s, m in campaign.models.items()}
+    timings = dict(campaign.timings)
+    for setup, convention in setups.items():
+        names_of = {campaign.models[setup].variable(n): n for e in campaign.measurements for n in e.outputs}
+        timings |= {names_of.get(variable, variable): t for variable, t in convention.signals.items()}
+    note = "; ".join(
+        f'\'{setup}\' was diagnosed with timing = "{c.timing}" instead of "{campaign.models[setup].timing}", which'
+        f" explains the runs {c.worse:.2g} times better than held signals; write it in campaign.toml"
+        for setup, c in setups.items()
+    )
+    return replace(campaign, models=models, timings=timings), note
+
+
+def _is_late(found: Found, step: float) -> bool:
+    """Return whether the best answer has a lag or delay of a signal that is shorter than a sample."""
+    for name, value in found.corrected.fit.values.items():
+        signal = signal_and_property(name)
+        if signal is not None and signal[1] in ("lag", "delay") and 0.0 < value < step:
+            return True
+    return False
+
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _DIFFERS = 0.05  # standard deviations: far below what any measurement shows, far above errors of solvers

@@ -21,8 +21,8 @@ from fmuid.diagnosis.calibration import (
 )
 from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.diagnose import diagnose_subject
+from fmuid.diagnosis.free_functions import trajectories
 from fmuid.diagnosis.observed import excess
-from fmuid.diagnosis.regimes import trajectories
 from fmuid.diagnosis.verdict import Verdict
 
 EFFECT = Verdict("effect", ("a",))

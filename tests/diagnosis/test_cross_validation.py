@@ -10,13 +10,13 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis import cross_validation
 from fmuid.diagnosis.cross_validation import (
     HeldOut,
+    Null,
     advantage,
     closure,
     closure_interval,
     in_sample,
     leave_each_out,
 )
-from fmuid.diagnosis.null_distribution import Null
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, refit
 from fmuid.effects.effect import Unknown

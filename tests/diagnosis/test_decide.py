@@ -17,7 +17,7 @@ from fmuid.diagnosis.decide import (
     strained,
     survivors,
 )
-from fmuid.diagnosis.ports import Decoy
+from fmuid.diagnosis.free_functions import Decoy
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.summary import _gap_text
 from fmuid.diagnosis.verdict import NONE, UNKNOWN

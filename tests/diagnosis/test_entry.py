@@ -7,7 +7,7 @@ import pytest
 from plants import PORTS, misread, plant
 
 from fmuid.diagnosis.candidates import fit_effects
-from fmuid.diagnosis.entry import entries, likelier, places, with_knots
+from fmuid.diagnosis.localisation import entries, likelier, places, with_knots
 from fmuid.diagnosis.refit import refit
 from fmuid.effects.effect import Port
 

@@ -6,10 +6,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from fmuid.diagnosis.candidates import fit_effects
+from fmuid.diagnosis.candidates import approached, beginning, early, fit_effects
 from fmuid.diagnosis.diagnose import _settled
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.horizon import approached, beginning, early
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.subject import Subject

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from fmuid.diagnosis.law_prior import log_prior
 from fmuid.effects.effect import Effect
+from fmuid.effects.law_prior import log_prior
 
 
 def effect(id, **more):

@@ -9,7 +9,7 @@ from fmu_build import compile_flat, load
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.packaging import package
 from fmuid import load_fmu
-from fmuid.diagnosis.linear_response import Linearised
+from fmuid.simulation.linear_response import Linearised
 from fmuid.simulation.simulator import Task
 
 RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"

@@ -12,7 +12,7 @@ from fmu_build import build
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.diagnosis.log_timing import with_timing_of_log
+from fmuid.diagnosis_pipeline import with_timing_of_log
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.runners import in_process

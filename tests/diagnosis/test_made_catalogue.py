@@ -28,7 +28,6 @@ from fmuid.core.campaign import ModelSource, ModelSpec
 from fmuid.core.errors import SimulationError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.diagnosis.laws import laws
 from fmuid.diagnosis.made_catalogue import (
     Held,
     catalogue_text,
@@ -39,6 +38,7 @@ from fmuid.diagnosis.made_catalogue import (
 from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import Variants, carrier, left_out
 from fmuid.effects.effects_file import load_catalogue
+from fmuid.effects.laws import laws
 from fmuid.simulation import model_source
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu

@@ -11,7 +11,7 @@ from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_er
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.spectrum import estimate_noise, whitener
 from fmuid.data.noise.transform import coefficient_frequencies, from_real_spectrum, real_spectrum
-from fmuid.diagnosis.null_distribution import Null, draw_noise
+from fmuid.diagnosis.cross_validation import Null, draw_noise
 from fmuid.diagnosis.observed import Observed, excess, gap
 
 DT = 1e-3

@@ -10,11 +10,18 @@ from fmuid.core.errors import SimulationError
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.candidates import fit_effects, score_further
 from fmuid.diagnosis.cross_validation import closure
-from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.ports import fit_decoys, harmonics, hats, quantile_knots, responses_of
-from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.free_functions import (
+    bases,
+    fit_decoys,
+    harmonics,
+    hats,
+    own_bases,
+    quantile_knots,
+    responses_of,
+    trajectories,
+)
+from fmuid.diagnosis.observed import Observed, project_off
 from fmuid.diagnosis.refit import refit
-from fmuid.diagnosis.regimes import bases, own_bases, trajectories
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, score_effects, stack, without_aliases
 from fmuid.effects.effect import Effect, Regime, Unknown
 from fmuid.simulation.runners import in_process

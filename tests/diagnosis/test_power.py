@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from fmuid.core.errors import SimulationError
-from fmuid.diagnosis.power import hidden, smallest_seen
 from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.scores import score_effects
+from fmuid.diagnosis.scores import hidden, score_effects, smallest_seen
 from fmuid.diagnosis.verdict import Hidden
 from fmuid.effects.effect import Effect, Unknown
 

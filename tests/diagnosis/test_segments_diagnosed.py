@@ -17,7 +17,7 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.design.rivals import design_for_diagnosis
-from fmuid.diagnosis.null_distribution import draw_noise
+from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.observed import Observed, excess
 from fmuid.diagnosis.subject import subject_of
 from fmuid.simulation.coupled.loading import load_simulator

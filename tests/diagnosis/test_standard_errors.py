@@ -5,10 +5,10 @@ import pytest
 from scipy.signal import lfilter
 
 from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.diagnosis.candidates import standard_errors
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import stack
-from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.effects.effect import Unknown
 
 TIME = 5e-3 * np.arange(200)

@@ -12,9 +12,9 @@ from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.diagnosis.null_distribution import draw_noise
+from fmuid.diagnosis.cross_validation import draw_noise
+from fmuid.diagnosis.decide import tolerances
 from fmuid.diagnosis.observed import Observed, excess
-from fmuid.diagnosis.tolerance import tolerances
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.simulator import Task

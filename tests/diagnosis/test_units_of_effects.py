@@ -12,7 +12,7 @@ from fmu_build.model_ports import Port
 from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.experiments import Experiment, Signal
-from fmuid.diagnosis.laws import SIZES, Place, effect_lines, fitting
+from fmuid.effects.laws import SIZES, Place, effect_lines, fitting
 from fmuid.simulation.simulator import Variable
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fmuid.diagnosis.laws import numeral
 from fmuid.diagnosis.summary import _lowered
+from fmuid.effects.laws import numeral
 from fmuid.effects.quantities import quantity_words, words_of
 
 

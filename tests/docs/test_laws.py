@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from fmuid.diagnosis.laws import laws
+from fmuid.effects.laws import laws
 
 PAGE = Path(__file__).parents[2] / "docs" / "laws.md"
 _TABLE = re.compile(r"(?<=<!-- laws -->\n).*(?=<!-- end -->)", re.DOTALL)

@@ -13,7 +13,9 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "numbers.md"
 SOURCES = [
     *sorted((ROOT / "src" / "fmuid" / "diagnosis").glob("*.py")),
+    *sorted((ROOT / "src" / "fmuid" / "effects").glob("*.py")),
     *sorted((ROOT / "src" / "fmuid" / "discovery").glob("*.py")),
+    ROOT / "src" / "fmuid" / "simulation" / "linear_response.py",
     ROOT / "src" / "fmuid" / "diagnosis_pipeline.py",
 ]
 _TABLE = re.compile(r"(?<=<!-- numbers -->\n).*(?=<!-- end -->)", re.DOTALL)

@@ -84,3 +84,7 @@ def test_no_c_file_calls_itself_through_others(folder: str) -> None:
     calls = called(ROOT / folder)
     assert sum(map(len, calls.values())) > len(calls) / 2
     TopologicalSorter(calls).prepare()
+
+
+def test_a_diagnosis_can_be_read_in_twenty_modules() -> None:
+    assert sum(module.startswith("fmuid.diagnosis.") for module in FILES) <= 20

@@ -5,8 +5,8 @@ import pytest
 import report_samples as samples
 from report_page import Page
 
+from fmuid.diagnosis.corrected import read_diagnosis
 from fmuid.diagnosis.summary import facts, likeliest, sentences, summary, verdict_text
-from fmuid.diagnosis.validation import read_diagnosis
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
 from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text, seen_table
 from fmuid.report.interactive import specification

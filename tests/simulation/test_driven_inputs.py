@@ -6,7 +6,7 @@ import numpy as np
 
 from fmu_build import build
 from fmuid.diagnosis.extended_model import _lined
-from fmuid.diagnosis.ports import hats
+from fmuid.diagnosis.free_functions import hats
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
 

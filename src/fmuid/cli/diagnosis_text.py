@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from fmuid.cli.output import Printer
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis.validation import DiagnosisValidation
+    from fmuid.diagnosis.corrected import DiagnosisValidation
 
 
 def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
@@ -44,8 +44,8 @@ def _print_rehearsal(rehearsal: Sequence[Mapping[str, Any]], printer: Printer) -
 
 def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
     """Print the correction, the runs that test it, errors by run and signal, and gaps by run."""
+    from fmuid.diagnosis.corrected import law_of
     from fmuid.diagnosis.cross_validation import share_closed
-    from fmuid.diagnosis.validation import law_of
 
     verdict, law = answer["verdict"], law_of(answer)
     if law is not None:

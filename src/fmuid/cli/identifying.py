@@ -336,8 +336,7 @@ class _Judged(NamedTuple):
 
 def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> dict[str, Any]:
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.diagnosis.corrected import FOLDER
-    from fmuid.diagnosis.validation import read_diagnosis, validate_diagnosis
+    from fmuid.diagnosis.corrected import FOLDER, read_diagnosis, validate_diagnosis
 
     answer = read_diagnosis(asked.file)
     campaign = asked.campaign or answer.get("campaign")

@@ -23,9 +23,8 @@ from fmuid.design.binary import Response, binary_sequence
 from fmuid.design.excitation import Signals, shapes
 from fmuid.design.excitation_search import Excitation, Judged, search
 from fmuid.design.planned import Planned, planned_run, template_of
-from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.extended_model import CampaignModel, linear_at, predicted
 from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import unknown_of
 from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case, from_campaign

@@ -25,7 +25,7 @@ from fmuid.design.planned import Planned, planned_run
 from fmuid.design.rehearsal import rehearsed
 from fmuid.diagnosis.candidates import Fitted, fit_effects
 from fmuid.diagnosis.decide import SAME
-from fmuid.diagnosis.extended_model import CampaignModel, Prediction
+from fmuid.diagnosis.extended_model import CampaignModel, Prediction, linear_at, predicted
 from fmuid.diagnosis.next_experiment import (
     Rival,
     chances,
@@ -35,7 +35,6 @@ from fmuid.diagnosis.next_experiment import (
     separations,
     with_sensors,
 )
-from fmuid.diagnosis.slopes import linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 from fmuid.effects.effect import Sensor
 from fmuid.identification.problem.cases import Case

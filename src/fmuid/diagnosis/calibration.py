@@ -29,10 +29,9 @@ from fmuid.core.progress import Say, quiet
 from fmuid.data.noise.spectrum import whitener
 from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.extended_model import Prediction
-from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.free_functions import bases
+from fmuid.diagnosis.observed import Observed, project_off
 from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.regimes import bases
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Verdict

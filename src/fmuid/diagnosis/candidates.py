@@ -1,24 +1,161 @@
-"""Refits of effects: each with all nominal parameters free, from its best trial, then combined with others."""
+"""Refits of effects: each with all nominal parameters free, from its best trial, then combined with others.
+
+Growing horizons. Without feedback, a model drifts away from its plant, and where it is far off, the slopes of the
+cost mislead: over a whole run the cost has many minima, over its beginning only few. (Ribeiro, Tiels, Umenberger,
+Schon and Aguirre: On the smoothness of nonlinear system identification. Automatica 121, 2020.)
+
+Standard errors. The refit minimises residuals e of the mean runs whitened by W, so the error of its estimate is
+``(J'W'WJ)^-1 J'W'W e``. Whitening knows the noise only from the differences of a few repeats, in bands of
+frequency and as if a run were periodic. So the covariance of ``J'W'W e`` is taken from the residuals over time, as
+in an identification (`fmuid.identification.uncertainty.coloured_residuals`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.spectrum import PiecewiseWhitener, Whitener
+from fmuid.data.noise.transform import from_real_spectrum
 from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out, predicted_left_out
-from fmuid.diagnosis.horizon import approached, early
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
-from fmuid.diagnosis.projection import project_off
-from fmuid.diagnosis.refit import Refit, about, refit
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap, project_off
+from fmuid.diagnosis.refit import Refit, about, descend, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
-from fmuid.diagnosis.standard_errors import standard_errors
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
-from fmuid.effects.effect import Effect
+from fmuid.effects.effect import Effect, Unknown
+from fmuid.identification.problem.cases import Case
+from fmuid.identification.uncertainty.coloured_residuals import Record, coloured_covariance
+
+_DETERMINED = 1e-6  # smallest singular value of unit columns, relative to the largest
+
+
+def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatArray]) -> FloatArray:
+    """Return the (P,) standard errors of a refit, all NaN if the data do not determine its parameters.
+
+    They are not below those of the noise floor. A parameter that moves nothing has none either.
+
+    Parameters
+    ----------
+    fit
+        The refit, with its Jacobian of whitened residuals.
+    observed
+        The measurements that it was fitted to.
+    prediction
+        (C, N) per experiment, at the estimate.
+    """
+    steps = np.array([u.step for u in fit.unknowns])
+    whitened = stack(fit.jacobian, observed) * steps
+    norms = np.linalg.norm(whitened, axis=0)
+    seen = norms > 0.0
+    errors: FloatArray = np.full(len(steps), np.nan)
+    if not seen.any():
+        return errors
+    scale = steps[seen] / norms[seen]
+    _, s, axes = np.linalg.svd(whitened[:, seen] / norms[seen], full_matrices=False)
+    if s[-1] <= _DETERMINED * s[0]:
+        return errors
+    bread = (axes.T / s**2) @ axes
+    records: dict[str, list[Record]] = {}
+    for run, whiten, jacobian, y in zip(observed.runs, observed.whiteners, fit.jacobian, prediction, strict=True):
+        columns = (jacobian[:, seen] * scale).T.reshape(int(seen.sum()), len(run.channels), -1)
+        slopes = run.n_repeats * _transposed(whiten, columns)
+        left = (y - run.mean) * run.mask
+        records[run.id] = [
+            Record(name, left[c], slopes[:, c].T.copy(), run.mask[c]) for c, name in enumerate(run.channels)
+        ]
+    meat, _ = coloured_covariance(records, int(seen.sum()))
+    variance = np.maximum(np.diag(bread @ meat @ bread), np.diag(bread))
+    errors[seen] = np.sqrt(variance) * scale
+    return errors
+
+
+def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> FloatArray:
+    """Return W'y, (..., C, N), for whitened y (..., C, K)."""
+    if isinstance(whiten, PiecewiseWhitener):
+        return np.concatenate([_transposed(w, whitened[..., a:b]) for a, b, w in whiten.pieces], axis=-1)
+    spectrum = np.zeros((*whitened.shape[:-1], whiten.mask.shape[1]))
+    spectrum[..., 0] = whitened[..., 0] * whiten.mean_scale
+    for band, factor in zip(whiten.bands, whiten.factors, strict=True):
+        spectrum[..., band] = factor.T @ whitened[..., band]
+    return from_real_spectrum(spectrum) * whiten.mask
+
+
+_SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
+_EARLY = _SHARES[1]  # of a run, over which effects are first compared
+_SHORTEST = 64  # samples in a beginning: a spectrum needs as many
+_ITERATIONS = 6  # for each horizon: the next one continues
+_KEPT = 3  # starts that go on to the next horizon
+
+
+def approached(
+    subject: Subject,
+    unknowns: Sequence[Unknown],
+    start: Mapping[str, float],
+    trials: Sequence[Mapping[str, float]],
+) -> Mapping[str, float] | None:
+    """Return the point that refits of the runs' beginnings lead to from a start with the best of several trials.
+
+    A short beginning determines little, so trials are made again from where it leads to.
+
+    None where runs are predicted in segments, which do not drift away, or are too short to be divided, or where no
+    start can be simulated.
+    """
+    shares = _shares(subject)
+    starts: list[Mapping[str, float]] = [start]
+    for share in shares:
+        part = beginning(subject, share)
+        starts = [*starts, *({**starts[0], **trial} for trial in trials)]
+        found = sorted(_ends(part, unknowns, starts), key=lambda end: end[0])
+        starts = [values for cost, values in found if cost <= about(found[0][0])][:_KEPT]
+        if not starts:
+            return None
+    return starts[0] if shares else None
+
+
+def early(subject: Subject) -> Subject | None:
+    """Return the subject with only an early part of every run; None if runs cannot be shortened."""
+    return beginning(subject, _EARLY) if _EARLY in _shares(subject) else None
+
+
+def _shares(subject: Subject) -> tuple[float, ...]:
+    """Return the shares of every run that are beginnings of it: none where runs are predicted in segments."""
+    shortest = min(len(case.time) for case in subject.model.cases)
+    return () if subject.observed.nuisances else tuple(s for s in _SHARES if shortest * s >= _SHORTEST)
+
+
+def beginning(subject: Subject, share: float) -> Subject:
+    """Return the subject with no more than the first share of every run, and the same noise."""
+    model = replace(subject.model, cases=tuple(_beginning(case, share) for case in subject.model.cases))
+    noise = {setup: replace(n, pieces=1) for setup, n in subject.observed.noise.items()}
+    return replace(subject, model=model, observed=Observed(model.runs, noise))
+
+
+def _beginning(case: Case, share: float) -> Case:
+    end = case.lead + round(share * len(case.time))
+    task = replace(
+        case.task, time=case.task.time[:end], inputs={name: u[:end] for name, u in case.task.inputs.items()}
+    )
+    channels = tuple(replace(c, repeats=c.repeats[:, : end - case.lead]) for c in case.channels)
+    return replace(case, task=task, channels=channels, criteria=())
+
+
+def _ends(
+    part: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]]
+) -> Iterator[tuple[float, Mapping[str, float]]]:
+    """Yield the cost and the values where searches from the `starts` end, without those that cannot begin."""
+    model = part.model
+    for start in starts:
+        with suppress(SimulationError):
+            yield descend(
+                model.predict, part.observed, unknowns, start, tangents=model.tangents, max_iterations=_ITERATIONS
+            )
+
 
 _SIZE = (0.03, 3.0)  # of a first guess, in trials: a response is linear only so far
 _ESCAPES = 2  # from local minima of one refit

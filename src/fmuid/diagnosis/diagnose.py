@@ -26,22 +26,17 @@ from fmuid.diagnosis.candidates import (
     twins,
     without,
 )
-from fmuid.diagnosis.cross_validation import closure, closure_interval, in_sample
+from fmuid.diagnosis.cross_validation import NoiseDraws, Null, closure, closure_interval, draw_noise, in_sample
+from fmuid.diagnosis.decide import tolerated
 from fmuid.diagnosis.effect_search import aliases, finished, search
-from fmuid.diagnosis.entry import Entry, entries, likelier, places
 from fmuid.diagnosis.extended_model import Prediction
-from fmuid.diagnosis.localisation import ExcessMap, excess_map
+from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own_bases, responses_of, trajectories
+from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
-from fmuid.diagnosis.null_distribution import NoiseDraws, Null, draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
-from fmuid.diagnosis.ports import Decoy, fit_decoys, responses_of
-from fmuid.diagnosis.power import hidden, smallest_seen
-from fmuid.diagnosis.regimes import bases, folded, own_bases, trajectories
-from fmuid.diagnosis.scores import Score, nominal_basis
-from fmuid.diagnosis.segment_states import with_states
-from fmuid.diagnosis.subject import Subject, tightened
+from fmuid.diagnosis.scores import Score, hidden, nominal_basis, smallest_seen
+from fmuid.diagnosis.subject import Subject, tightened, with_states
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
-from fmuid.diagnosis.tolerance import tolerated
 from fmuid.diagnosis.verdict import (
     NONE,
     UNKNOWN,

@@ -21,9 +21,8 @@ from fmuid.diagnosis.candidates import (
     score_further,
     without,
 )
-from fmuid.diagnosis.null_distribution import NoiseDraws
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
-from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.cross_validation import NoiseDraws
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, project_off
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import SEEN, Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject

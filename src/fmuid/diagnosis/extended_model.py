@@ -1,4 +1,4 @@
-"""The simulated side of a diagnosis: predictions of every experiment for any parameter values."""
+"""The models of a campaign with effects: predictions, and their slopes by the parameters."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.observed import Observed
+from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
@@ -449,3 +450,58 @@ def _changes(values: FloatArray, share: float) -> list[int]:
             found.append(k)
             last = value
     return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """A model near a point: (C, N) predictions of every run, and their derivatives by each unknown."""
+
+    values: Mapping[str, float]
+    prediction: Prediction
+    slopes: Mapping[str, Prediction]
+
+
+def predicted(model: CampaignModel, points: Sequence[Mapping[str, float]]) -> list[Prediction]:
+    """Return the predictions at every point.
+
+    Raises
+    ------
+    SimulationError
+        A run failed.
+    """
+    found: list[Prediction] = []
+    for outcome in model.predict(points):
+        if isinstance(outcome, SimulationError):
+            raise outcome
+        found.append(outcome)
+    return found
+
+
+def linear_at(
+    model: CampaignModel, points: Sequence[Mapping[str, float]], unknowns: Sequence[Sequence[Unknown]]
+) -> list[Linear]:
+    """Return the model near every point, linearised along the unknowns of that point.
+
+    Raises
+    ------
+    SimulationError
+        A run failed.
+    """
+    names = list(dict.fromkeys(u.name for us in unknowns for u in us))
+    exact = model.tangents_at(points, names)
+    moved: list[tuple[int, Unknown, float, Mapping[str, float]]] = []
+    for k, (values, us) in enumerate(zip(points, unknowns, strict=True)):
+        for u in us:
+            if u.name not in exact[k]:
+                step = u.step if values[u.name] + u.step <= u.upper else -u.step
+                moved.append((k, u, step, {**values, u.name: values[u.name] + step}))
+    predictions = predicted(model, [*points, *(there for *_, there in moved)])
+    slopes = [
+        {u.name: found[u.name] for u in us if u.name in found} for found, us in zip(exact, unknowns, strict=True)
+    ]
+    for (k, u, step, _), there in zip(moved, predictions[len(points) :], strict=True):
+        slopes[k][u.name] = tuple((a - b) / step for a, b in zip(there, predictions[k], strict=True))
+    return [
+        Linear(values, prediction, found)
+        for values, prediction, found in zip(points, predictions, slopes, strict=False)
+    ]

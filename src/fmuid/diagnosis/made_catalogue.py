@@ -21,13 +21,12 @@ from fmuid.core.files import remove_unused, user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import read_toml, toml_document, toml_text
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
-from fmuid.diagnosis.laws import SHARES, SIZES, Place, effect_lines, fitting, inline
-from fmuid.diagnosis.state_places import exchanged, observed_states, state_of, state_places, with_laws
 from fmuid.diagnosis.subject import subject_of
-from fmuid.diagnosis.variants import carrier
+from fmuid.diagnosis.variants import carrier, exchanged, observed_states, state_of, state_places, with_laws
 from fmuid.diagnosis.varying import varying_lines
 from fmuid.effects.effects_file import load_catalogue
+from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
+from fmuid.effects.laws import SHARES, SIZES, Place, effect_lines, fitting, inline
 from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments

@@ -20,10 +20,9 @@ from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.decide import OPEN, SAME, spread
-from fmuid.diagnosis.extended_model import CampaignModel, Prediction
+from fmuid.diagnosis.extended_model import CampaignModel, Linear, Prediction, linear_at, predicted
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.scores import stack
-from fmuid.diagnosis.slopes import Linear, linear_at, predicted
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import AddedSensor, NextExperiment
 from fmuid.effects.effect import Sensor, Unknown

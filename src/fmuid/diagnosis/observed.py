@@ -1,4 +1,4 @@
-"""The measured side of a diagnosis: repeated runs, their noise, and residuals in units of it."""
+"""Measurements as a diagnosis sees them: whitened, without what nuisances take; and projections of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,26 @@ from numpy.typing import NDArray
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns, cut
 from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, bandwidth, estimate_noise, whitener
-from fmuid.diagnosis.projection import project_off
+
+
+def orthonormal(columns: FloatArray, dependent: float = 1e-6) -> FloatArray:
+    """Return an orthonormal basis, (M, K), of (M, P) columns.
+
+    Columns of zeros, and directions of unit columns whose singular value is below `dependent` times the largest,
+    are left out.
+    """
+    norms = np.linalg.norm(columns, axis=0)
+    kept = columns[:, norms > 0.0] / norms[norms > 0.0]
+    if not kept.shape[1]:
+        return np.asarray(kept)
+    u, s, _ = np.linalg.svd(kept, full_matrices=False)
+    return np.asarray(u[:, s > dependent * s[0]])
+
+
+def project_off(vectors: FloatArray, basis: FloatArray) -> FloatArray:
+    """Return a vector (M,), or columns (M, D), less their part in the span of an orthonormal (M, K) `basis`."""
+    return np.asarray(vectors - basis @ (basis.T @ vectors))
+
 
 GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 _FEW = 4  # experiments: with fewer, too little remains when one is left out

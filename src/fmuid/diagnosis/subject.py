@@ -1,4 +1,16 @@
-"""The subject of a diagnosis: the model with effects, the nominal parameters and the noise."""
+"""The subject of a diagnosis: models, experiments and effects, ready to be simulated and compared.
+
+Repeats of a reference. In a closed loop the controller reacts to the noise of every run, and an input that is
+measured has noise of its own. Each run is simulated with its own input. What the model predicts to differ between
+the runs is subtracted from their measurements, which then are repeats of one experiment with the mean input. Their
+differences contain the noise that recorded inputs pass on to the outputs, so it is in the noise floor, and in its
+covariance.
+
+Segments. Predictions in segments have their initial states fitted to the measurements
+(`fmuid.simulation.segmented`). Noise that the states follow is no longer in the residual, so it must not be
+expected there, and effects after the simulation, such as a wrong gain of a sensor, must be allowed to move the
+states. Both hold if the whitened tangents of the states are projected off every residual and every difference.
+"""
 
 from __future__ import annotations
 
@@ -11,25 +23,121 @@ from pathlib import Path
 import numpy as np
 
 from fmu_build.suggest import suggestion
-from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec, without_owner
-from fmuid.core.errors import CampaignError, FmuError
+from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec, StageSpec, without_owner
+from fmuid.core.errors import CampaignError, FmuError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import parse
-from fmuid.core.immutable import FloatArray
+from fmuid.core.immutable import FloatArray, read_only
+from fmuid.data.noise.level import noise_level
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.observed import Observed
-from fmuid.diagnosis.own_inputs import as_repeats
-from fmuid.diagnosis.segment_states import findings_of, with_states
+from fmuid.diagnosis.observed import Observed, orthonormal
 from fmuid.diagnosis.variants import Variants, left_out
 from fmuid.diagnosis.verdict import LeftOut
 from fmuid.effects.effect import Catalogue, Effect, Unknown
 from fmuid.effects.effects_file import load_catalogue
-from fmuid.identification.problem.cases import Case, experiments_of, from_campaign
-from fmuid.identification.problem.segments import in_segments, last_stages
+from fmuid.identification.problem.cases import Case, Channel, experiments_of, from_campaign
+from fmuid.identification.problem.segments import in_segments, last_stages, why_whole
 from fmuid.identification.problem.solver_error import SolverAccuracy, accuracy, solver_accuracy
 from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.signal_effects import signal_parameters
 from fmuid.simulation.simulator import Simulator
+
+
+def as_repeats(
+    model: CampaignModel, values: Mapping[str, float], reference: Mapping[str, str]
+) -> tuple[Case, ...]:
+    """Return the cases of a model with repeats of a reference joined.
+
+    Parameters
+    ----------
+    values
+        Nominal parameters; the differences between such runs hardly depend on them.
+    reference
+        By run, the first run with the same reference.
+
+    Runs that cannot be simulated, or that are predicted in segments, stay apart.
+    """
+    groups: dict[object, list[Case]] = {}
+    for case in model.cases:
+        first = reference.get(case.experiments[0], case.id)
+        apart = case.id if isinstance(case.simulator, Segmented) else ""
+        groups.setdefault((first, case.setup, case.machine, apart), []).append(case)
+    return tuple(joined for group in groups.values() for joined in _joined(model, values, group))
+
+
+def _joined(model: CampaignModel, values: Mapping[str, float], group: Sequence[Case]) -> Sequence[Case]:
+    if len(group) == 1:
+        return group
+    weights = [len(case.experiments) for case in group]
+    inputs = {
+        name: read_only(np.average([case.task.inputs[name] for case in group], axis=0, weights=weights))
+        for name in group[0].task.inputs
+    }
+    mean = replace(group[0], task=replace(group[0].task, inputs=inputs))
+    (outcome,) = replace(model, cases=(mean, *group)).predict([values])
+    if isinstance(outcome, SimulationError):
+        return group
+    moved = [prediction - outcome[0] for prediction in outcome[1:]]
+    channels = []
+    for k, channel in enumerate(mean.channels):
+        rows = [case.channels[k].repeats - y[k] for case, y in zip(group, moved, strict=True)]
+        channels.append(_channel(channel, np.concatenate(rows)))
+    ids = tuple(id for case in group for id in case.experiments)
+    return [replace(mean, channels=tuple(channels), experiments=ids)]
+
+
+def _channel(channel: Channel, repeats: FloatArray) -> Channel:
+    given = channel.noise.source == "given"
+    noise = channel.noise if given else noise_level(repeats, [None] * len(repeats))
+    return replace(channel, repeats=read_only(repeats), noise=noise)
+
+
+_DEPENDENT = 1e-8  # smallest singular value of unit columns, relative to the largest
+
+
+def with_states(observed: Observed, model: CampaignModel, values: Mapping[str, float]) -> Observed:
+    """Return the measurements with the initial states of segments as nuisances, linearised at `values`.
+
+    Raises
+    ------
+    SimulationError
+        A segment cannot be simulated.
+    """
+    if not any(isinstance(case.simulator, Segmented) for case in model.cases):
+        return observed
+    bases = []
+    for case, whiten in zip(model.cases, observed.whiteners, strict=True):
+        columns = np.zeros((whiten.size, 0))
+        if isinstance(case.simulator, Segmented):
+            at = model.start_values(case, {**model.fixed, **values})
+            tangents = case.simulator.state_tangents(at)[:, :, case.lead :]
+            columns = whiten(tangents).reshape(len(tangents), -1).T
+        bases.append(read_only(orthonormal(columns, _DEPENDENT)))
+    return replace(observed, nuisances=tuple(bases))
+
+
+def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[str, ...]:
+    """Return notes on how each setup is predicted; `stages` are the ones whose segments or observer count."""
+    found = []
+    for setup in dict.fromkeys(case.setup for case in model.cases):
+        own = [c.simulator for c in model.cases if c.setup == setup]
+        cut = [simulator for simulator in own if isinstance(simulator, Segmented)]
+        stage = stages.get(setup)
+        if stage is not None and not cut and (why := why_whole(stage, own[0])):
+            found.append(
+                f"Runs of setup '{setup}' are predicted whole, not as stage '{stage.name}' does: with effects, "
+                f"{why}. This diagnosis says little about an unstable plant."
+            )
+        if cut:
+            segments, states = sum(s.segments for s in cut), sum(s.nuisances for s in cut)
+            why = f"; stage '{stage.name}' has an observer instead" if stage is not None and stage.observer else ""
+            found.append(
+                f"Runs of setup '{setup}' are predicted in {segments} segments, whose {states} initial states are "
+                f"fitted as well{why}."
+            )
+    return tuple(found)
+
 
 _STEP = 0.02  # of a nominal parameter relative to its start value: large compared with the noise of solvers
 _OF_WIDTH = 1e-3  # of one that starts at zero, relative to its range

@@ -1,21 +1,35 @@
-"""Models with effects: one model with effects that vanish while off, and variants for the others when tried."""
+"""Models with effects: built into their source, around FMUs without it, and variants that are built when tried.
+
+What a law adds to a state's derivative is in the derivative's unit: the size of a friction contains the inertia.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from fmu_build import compile_flat
+from fmu_build.domains import MECHANICAL, Domain
 from fmu_build.errors import InputDerivativeError, ModelicaError
-from fmu_build.flat_model import FlatModel
+from fmu_build.flat_model import ADDED, FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import places
+from fmu_build.model_ports import Kind, Port, places
 from fmu_build.suggest import suggestion
-from fmuid.core.campaign import ModelSource, ModelSpec
+from fmu_build.syntax import Part, Reference
+from fmu_build.unit_strings import parse_unit
+from fmuid.core.campaign import Campaign, ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError, SimulationError
+from fmuid.core.files import make_folder, remove_unused, user_cache
+from fmuid.core.immutable import FloatArray
 from fmuid.effects.effect import Catalogue, Effect
+from fmuid.simulation.fmu import Fmu, load_fmu
+from fmuid.simulation.fmu_with_laws import StateLaw, write_fmu_with_laws
 from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
@@ -217,3 +231,217 @@ class Variants:
 def _is_on(effect: Effect, values: Mapping[str, float]) -> bool:
     sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
     return any(values.get(name, effect.neutral[name]) != effect.neutral[name] for name in sizes)
+
+
+_SAME = 1e-6  # of its largest value: within it, the derivative of one state is another state
+_DOMAINS: tuple[tuple[str, Domain, Kind, str], ...] = (
+    ("rad/s", "rotational", "node", "rad"),
+    ("m/s", "translational", "node", "m"),
+    ("K", "thermal", "node", "K"),
+    ("A", "electrical", "loop", ""),
+    ("V", "electrical", "node", "V"),
+    ("Pa", "fluid", "node", "Pa"),
+    ("m", "fluid", "node", "m"),
+    ("m3", "fluid", "node", "m3"),
+)
+"""Unit of a state, the domain and kind of its place, and the unit of the potential there."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatePlace:
+    """A place at a state, with the sizes (P, V, F, ...) of a nominal simulation.
+
+    `names` are the variables of the FMU for the names that laws use, and `unit` is that of what laws add.
+    """
+
+    port: Port
+    sizes: Mapping[str, float]
+    names: Mapping[str, str]
+
+
+def model_exchange(model: ModelSpec) -> Fmu | None:
+    """Return the FMU of a model without source for model exchange, None if it does not offer that."""
+    if model.source is not None or model.coupling is not None or model.fmu.suffix != ".fmu":
+        return None
+    fmu = load_fmu(model.fmu)
+    offered = fmu.description.model_exchange is not None and bool(fmu.states)
+    return load_fmu(model.fmu, "model exchange") if offered else None
+
+
+def observed_states(fmu: Fmu) -> list[str]:
+    """Return the variables to simulate for the sizes of places: states and their derivatives."""
+    return list(dict.fromkeys([*fmu.derivatives, *fmu.derivatives.values()]))
+
+
+def state_places(
+    fmu: Fmu, times: Sequence[FloatArray], courses: Sequence[Mapping[str, FloatArray]]
+) -> tuple[list[StatePlace], dict[str, str]]:
+    """Return the places at the states of an FMU, and why other states are none, by state.
+
+    Parameters
+    ----------
+    fmu
+        The FMU.
+    times, courses
+        Times of nominal simulations, and the `observed_states` there.
+    """
+    derivatives = fmu.derivatives
+    positions = _positions(derivatives, courses)
+    places, reasons = [], {}
+    for state, derivative in derivatives.items():
+        if state in positions.values():
+            continue  # its derivative is a speed, at which forces act
+        found = _domain(fmu, state, positions.get(state))
+        if found is None:
+            unit = fmu.variables[state].unit
+            reasons[state] = f"has the unit {unit}, for which there are no laws" if unit else "has no unit"
+            continue
+        domain, kind, potential = found
+        if kind == "loop":
+            names = {"through": state}
+        elif domain in MECHANICAL:
+            names = {"rate": state, "acceleration": f"der({state})"}
+            if state in positions and _is_angle_or_length(fmu, positions[state], potential):
+                names["p"] = positions[state]
+        else:
+            names = {"p": state}
+        port = _port(state, found, fmu.variables[state].unit or "1", names)
+        sizes = _sizes(port, derivative, times, courses)
+        if sizes:
+            places.append(StatePlace(port, sizes, names))
+    return places, reasons
+
+
+def _positions(derivatives: Mapping[str, str], courses: Sequence[Mapping[str, FloatArray]]) -> dict[str, str]:
+    """Return the state of which each speed is the derivative."""
+    found = {}
+    for speed in derivatives:
+        for position, derivative in derivatives.items():
+            same = [_alike(course[derivative], course[speed]) for course in courses]
+            if position != speed and all(same) and any(np.ptp(course[speed]) > 0.0 for course in courses):
+                found[speed] = position
+                break
+    return found
+
+
+def _alike(a: FloatArray, b: FloatArray) -> bool:
+    return bool(np.abs(a - b).max() <= _SAME * np.abs(b).max())
+
+
+def _domain(fmu: Fmu, state: str, position: str | None) -> tuple[Domain, Kind, str] | None:
+    """Return domain and kind of the place at a state, and the unit of the potential there."""
+    dimension = _dimension(fmu.variables[state].unit)
+    if position is not None and dimension in (None, _dimension("1")):
+        turns = _dimension(fmu.variables[position].unit) == _dimension("rad")
+        return ("rotational", "node", "rad") if turns else ("translational", "node", "m")
+    for unit, domain, kind, potential in _DOMAINS:
+        if dimension is not None and dimension == _dimension(unit):
+            return domain, kind, potential
+    return None
+
+
+def _dimension(unit: str | None) -> tuple[int, ...] | None:
+    parsed = parse_unit(unit) if unit else None
+    return None if parsed is None else parsed[2]
+
+
+def _is_angle_or_length(fmu: Fmu, position: str, potential: str) -> bool:
+    """Return whether a position is in rad, or is a length."""
+    unit = fmu.variables[position].unit
+    parsed = parse_unit(unit) if unit else None
+    return potential == "m" or parsed is None or parsed[0] == 1.0
+
+
+def _port(state: str, place: tuple[Domain, Kind, str], unit: str, names: Mapping[str, str]) -> Port:
+    domain, kind, potential = place
+    if domain in MECHANICAL:
+        plain = "/" in unit or unit == "1"
+        units = (potential, f"{potential}.s-2" if plain else f"{unit}.s-1")
+    else:
+        units = (f"{unit}.s-1", unit) if kind == "loop" else (unit, f"{unit}.s-1")
+    probes = {name: (names[name],) for name in ("p", "rate") if name in names}
+    quantities = {name: Reference(ADDED, (Part(variable),)) for name, variable in names.items()}
+    return Port(f"der({state})", kind, domain, (), units, quantities, probes)
+
+
+def _sizes(
+    port: Port, derivative: str, times: Sequence[FloatArray], courses: Sequence[Mapping[str, FloatArray]]
+) -> dict[str, float]:
+    """Return the sizes of a place; empty if nothing happens there."""
+
+    def largest(series: Sequence[FloatArray]) -> float:
+        return max(float(np.abs(one).max()) for one in series)
+
+    flows = [course[derivative] for course in courses]
+    state = port.name.removeprefix("der(").removesuffix(")")
+    here = [course[state] for course in courses]
+    sizes = {"T": max(float(t[-1] - t[0]) for t in times), "F": largest(flows)}
+    if port.kind == "loop":  # the current is a flow; what opposes it is a drop of potential
+        sizes |= {"P": sizes["F"], "F": largest(here), "V": sizes["F"]}
+    elif port.domain in MECHANICAL:
+        sizes |= {"V": largest(here), "A": sizes["F"]}
+        if "p" in port.probes:
+            p = [course[port.probes["p"][0]] for course in courses]
+            sizes |= {"P": max(float(np.ptp(x)) for x in p), "M": largest(p), "Z": float(p[0][0])}
+    else:
+        sizes |= {"P": max(float(np.ptp(x)) for x in here), "M": largest(here), "V": sizes["F"]}
+        sizes["Z"] = float(here[0][0])
+    own = {name: value for name, value in sizes.items() if value > 0.0 or name == "Z"}
+    return own if "F" in own and ("P" in own or "V" in own) else {}
+
+
+def state_of(port: str, states: Collection[str]) -> str | None:
+    """Return the state at whose derivative a port is, None if it is another port."""
+    return next((s for s in states if port == f"der({s})"), None)
+
+
+def with_laws(fmu: Fmu, catalogue: Catalogue, effects: Collection[Effect] | None = None) -> tuple[Path, Path]:
+    """Return copies of an FMU in the user's cache: as it is, and with the laws and inputs of a catalogue.
+
+    Parameters
+    ----------
+    fmu
+        The FMU, for model exchange.
+    catalogue
+        Its effects and inputs at the FMU's states are added.
+    effects
+        If given, only these effects and no inputs.
+    """
+    states = fmu.states
+    every = catalogue.effects.values() if effects is None else effects
+    acting = [(e, state) for e in every if e.expression and (state := state_of(e.port, states))]
+    inputs = [(p, s) for p in catalogue.ports.values() if p.added and p.input and (s := state_of(p.name, states))]
+    inputs = inputs if effects is None else []
+    laws = [StateLaw(s, e.expression, _off(e), e.states, f"[effects.{e.id!r}]") for e, s in acting]
+    added = [
+        Added(u.name, e.neutral[u.name], e.units.get(u.name, ""), e.description)
+        for e, _ in acting
+        for u in e.unknowns
+    ]
+    laws += [StateLaw(s, port.input, where=f"[ports.{port.name!r}] input") for port, s in inputs if port.input]
+    added += [Added(port.input, 0.0, port.unit, port.description, input=True) for port, _ in inputs if port.input]
+    content = hashlib.sha256(fmu.path.read_bytes()).hexdigest()
+    digest = hashlib.sha256(repr((content, laws, added)).encode()).hexdigest()
+    folder = user_cache() / "models" / content[:16]
+    plain, carrier = folder / fmu.path.name, folder / f"{fmu.path.stem}-{digest[:12]}.fmu"
+    make_folder(folder)
+    remove_unused(user_cache() / "models", "*/*-*.fmu")
+    if not plain.is_file():
+        shutil.copyfile(fmu.path, plain)
+    if not carrier.is_file():
+        write_fmu_with_laws(fmu, laws, added, carrier)
+    return plain, carrier
+
+
+def _off(effect: Effect) -> dict[str, float]:
+    sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
+    return {name: effect.neutral[name] for name in sizes}
+
+
+def exchanged(campaign: Campaign) -> dict[str, Fmu]:
+    """Return the FMUs at whose states laws may act, by setup; none if an observer corrects the states."""
+    if any(stage.observer for stage in campaign.stages.values()):
+        return {}
+    used = {e.setup for e in campaign.measurements}
+    found = {name: model_exchange(m) for name, m in campaign.models.items() if name in used}
+    return {name: fmu for name, fmu in found.items() if fmu is not None}

@@ -24,15 +24,14 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import toml_text
 from fmuid.data.filtering import first_order
 from fmuid.diagnosis.candidates import Fitted, fit_effects
-from fmuid.diagnosis.laws import Dependence, Law, Place, effect_lines, laws
-from fmuid.diagnosis.linear_response import Linearised, LinearResponse
-from fmuid.diagnosis.null_distribution import draw_noise
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS
-from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.cross_validation import draw_noise
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, project_off
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.effects.effect import Effect
+from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws
 from fmuid.identification.problem.cases import LOGGED, logged
+from fmuid.simulation.linear_response import Linearised, LinearResponse
 
 TIME, WARMTH, COEFFICIENT = "time", "warmth", "parameter"
 _MOST = 10  # coefficients that vary, built into a model

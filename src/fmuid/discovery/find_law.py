@@ -14,12 +14,10 @@ from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, refitted_early, without
-from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
+from fmuid.diagnosis.candidates import Fitted, approached, estimates, fit_effects, refitted_early, without
+from fmuid.diagnosis.cross_validation import NoiseDraws, advantage, closure, closure_interval, draw_noise
 from fmuid.diagnosis.diagnose import Found, where_it_enters
-from fmuid.diagnosis.entry import likelier
-from fmuid.diagnosis.horizon import approached
-from fmuid.diagnosis.null_distribution import NoiseDraws, draw_noise
+from fmuid.diagnosis.localisation import likelier
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened

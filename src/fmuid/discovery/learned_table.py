@@ -22,10 +22,9 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
-from fmuid.diagnosis.cross_validation import advantage, closure, closure_interval
+from fmuid.diagnosis.cross_validation import Null, advantage, closure, closure_interval, draw_noise
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
-from fmuid.diagnosis.null_distribution import Null, draw_noise
-from fmuid.diagnosis.ports import Response, fit_decoys, hats, moved_by, quantile_knots
+from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement

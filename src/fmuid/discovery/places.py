@@ -12,8 +12,8 @@ from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import Port, find_ports
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.discovery.terms import Kind, Quantity, Term, library
+from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
 
 _MOVES = 1e-6  # relative to its size: a quantity that moves less counts as constant
 _SAME = 1e-4  # time series whose correlation is within this of 1 are the same

@@ -14,10 +14,9 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.cross_validation import HeldOut
-from fmuid.diagnosis.null_distribution import NoiseDraws
-from fmuid.diagnosis.ports import Response, fit_decoys, moved_by
-from fmuid.diagnosis.projection import project_off
+from fmuid.diagnosis.cross_validation import HeldOut, NoiseDraws
+from fmuid.diagnosis.free_functions import Response, fit_decoys, moved_by
+from fmuid.diagnosis.observed import project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fmuid.core.errors import FmuidError
 from fmuid.data.table_layout import TableLayout
-from fmuid.diagnosis.validation import read_diagnosis
+from fmuid.diagnosis.corrected import read_diagnosis
 from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.continued import is_run
 from fmuid.identification.result import Result

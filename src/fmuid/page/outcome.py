@@ -10,8 +10,7 @@ from typing import Any
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, UnitError
 from fmuid.core.units import conversion
-from fmuid.diagnosis.corrected import FOLDER
-from fmuid.diagnosis.validation import read_diagnosis
+from fmuid.diagnosis.corrected import FOLDER, read_diagnosis
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.identification.result import Result
 from fmuid.page.workspace import Workspace

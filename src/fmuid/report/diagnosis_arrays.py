@@ -12,9 +12,8 @@ from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.extended_model import Prediction
-from fmuid.diagnosis.ports import Basis, hats, quantile_knots, times
+from fmuid.diagnosis.free_functions import Basis, folded, hats, quantile_knots, times, trajectories
 from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.regimes import folded, trajectories
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.varying import course_of
 from fmuid.effects.effect import Effect, Port, Regime

@@ -141,7 +141,7 @@ class Place:
 @cache
 def laws() -> Mapping[str, Law]:
     """Return the library of laws by name."""
-    text = files("fmuid.diagnosis").joinpath("laws.toml").read_text()
+    text = files("fmuid.effects").joinpath("laws.toml").read_text()
     return {name: convert(raw, Law, f"laws.toml [{name}]") for name, raw in tomllib.loads(text).items()}
 
 
