@@ -64,6 +64,11 @@ class SeenRun:
         return self._task.outputs
 
     @property
+    def inputs(self) -> Mapping[str, FloatArray]:
+        """(N,) samples of the inputs by the model's variables."""
+        return self._task.inputs
+
+    @property
     def time(self) -> FloatArray:
         """(N,) times of the samples, s."""
         return self._task.time
@@ -75,7 +80,7 @@ class SeenRun:
 
     def timed(self, interpolation: Interpolation, after: tuple[str, ...] = ()) -> SeenRun:
         """Return the same run with another timing of its signals, relative to the same ranges."""
-        task = replace(self._task, interpolation=interpolation, linear=(), after=after)
+        task = replace(self._task, interpolation=interpolation, linear=(), band_limited=(), after=after)
         return SeenRun(self._model, task, self._measured, self._runner, values=self._values, scale=self.scale)
 
     def _at(self, values: Mapping[str, float]) -> SeenRun:
@@ -143,20 +148,23 @@ class SeenRun:
         trust_region(residuals, jacobian, start, low, high, cost_tolerance=_CONVERGED, step_tolerance=1e-4)
         return min((one for one in tried.values() if one is not None), key=lambda one: one.left)
 
-    def towards(self, other: SeenRun, free: Sequence[Variable]) -> tuple[float, float]:
+    def towards(self, other: SeenRun, free: Sequence[Variable], *, order: int = 0) -> tuple[float, float]:
         """Return the product of the error with the way to another simulation, and the square of that way.
 
         Of both, only what the parameters cannot imitate counts; the quotient is how far along that way the run is.
+        With `order` 1, both are changes from sample to sample, in which slow errors hardly show.
         """
-        known, columns = np.isfinite(self._measured), self._columns(free)
-        way = ((other.nominal - self.nominal) / self.scale)[known]
+        errors, columns = np.diff(self.errors, order, axis=1), self._columns(free, order)
+        known = np.isfinite(errors)
+        way = np.diff((other.nominal - self.nominal) / self.scale, order, axis=1)[known]
         way -= columns @ np.linalg.lstsq(columns, way, rcond=None)[0]
-        return float(way @ self.errors[known]), float(way @ way)
+        return float(way @ errors[known]), float(way @ way)
 
-    def _columns(self, free: Sequence[Variable]) -> FloatArray:
+    def _columns(self, free: Sequence[Variable], order: int = 0) -> FloatArray:
         """Return the changes of the measured samples with each parameter's relative change: 0 where unknown."""
-        known, effects = np.isfinite(self._measured), self.effects(free)
-        return np.stack([effects.get(v.name, np.zeros_like(self.nominal))[known] for v in free], axis=1)
+        known, effects = np.isfinite(np.diff(self._measured, order, axis=1)), self.effects(free)
+        every = [np.diff(effects.get(v.name, np.zeros_like(self.nominal)), order, axis=1) for v in free]
+        return np.stack([rows[known] for rows in every], axis=1)
 
     @property
     def left(self) -> float:

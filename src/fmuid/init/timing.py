@@ -24,7 +24,8 @@ from fmuid.simulation.simulator import Variable
 _NEARLY = 0.5  # of the way between two conventions: another effect rarely looks like the whole way
 _CLEARLY = 0.8  # remaining share of the squared error for a convention to count as better
 _MOST_RUNS = 3
-_SURE = 12.0  # log likelihood ratio for a lost row
+_SURE = 12.0  # log likelihood ratio for a lost row, and for a convention against one that is near to it
+_EDGE, _BEYOND = 0.9, 1e-2  # of the Nyquist frequency; share of the changes of a band-limited input beyond it
 _ONE = 0.3  # deviation from one row for a row to be lost
 _AROUND = 3  # samples on either side of a lost row that have to be as usual
 
@@ -83,7 +84,9 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
     Each run is refitted with every convention. A missing effect may look like inputs that act earlier, but hardly
     by the whole way from one convention to another; so a convention has to leave less than four fifths of the
     squared error of held signals, and the runs have to lie near it on the way from there. Among those that do, the
-    changes between samples decide.
+    changes between samples decide. Band-limited inputs are near to linear ones; they are listed if linear ones
+    explain the runs, no input has changes near the Nyquist frequency, and the changes between samples are clearly
+    in their favour.
 
     Parameters
     ----------
@@ -100,18 +103,54 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
             if all(np.array_equal(a.nominal, b.nominal) for a, b in zip(seen, tried, strict=True)):
                 continue
             refits = [one.refitted(free) for one in tried]
-            ways = [one.towards(timed(one, convention), free) for one in held]
+            found.append(_judged(convention, held, refits, free))
+            if convention.timing == "linear" and found[-1].explains and all(map(_band_limited, seen)):
+                found += _nearer_than(found[-1], held, refits, free)
         except FmuidError:
             continue  # an FMU that does not interpolate its inputs
-        products, squares = np.sum(ways, axis=0)
-        worse = sum(one.left for one in held) / max(sum(one.left for one in refits), 1e-300)
-        evidence = sum(_evidence(a, b) for a, b in zip(held, refits, strict=True))
-        found.append(
-            Convention(
-                convention.timing, convention.signals, worse, evidence, float(products / max(squares, 1e-300))
-            )
-        )
     return tuple(sorted(found, key=lambda c: (not c.explains and c.timing != "held", -c.evidence)))
+
+
+def _judged(
+    convention: Convention, held: Sequence[SeenRun], refits: Sequence[SeenRun], free: Sequence[Variable]
+) -> Convention:
+    """Return a convention with how well it explains the runs; `held` and `refits` are refitted ones."""
+    worse = sum(one.left for one in held) / max(sum(one.left for one in refits), 1e-300)
+    evidence = sum(_evidence(a, b) for a, b in zip(held, refits, strict=True))
+    return replace(convention, worse=worse, evidence=evidence, along=_along(held, convention, free))
+
+
+def _along(
+    before: Sequence[SeenRun], convention: Convention, free: Sequence[Variable], *, order: int = 0
+) -> float:
+    """Return the place of runs on the way to a convention, of their `order`-th changes between samples."""
+    ways = [one.towards(timed(one, convention), free, order=order) for one in before]
+    products, squares = np.sum(ways, axis=0)
+    return float(products / max(squares, 1e-300))
+
+
+def _nearer_than(
+    linear: Convention, held: Sequence[SeenRun], refits: Sequence[SeenRun], free: Sequence[Variable]
+) -> Sequence[Convention]:
+    """Return band-limited inputs if they explain the runs clearly better than linear ones, else nothing.
+
+    `held` and `refits` are runs refitted with held and with linear inputs.
+    """
+    smooth = Convention("band-limited")
+    if abs(_along(refits, smooth, free, order=1) - 1.0) >= _NEARLY:
+        return ()
+    judged = _judged(smooth, held, [timed(one, smooth).refitted(free) for one in refits], free)
+    return (judged,) if judged.evidence - linear.evidence > _SURE else ()
+
+
+def _band_limited(run: SeenRun) -> bool:
+    """Return whether no input of a run has a notable share of its changes near the Nyquist frequency."""
+    for values in run.inputs.values():
+        changes = np.diff(values)
+        power = np.abs(np.fft.rfft(changes * np.hanning(len(changes)))) ** 2
+        if np.sum(power[round(_EDGE * len(power)) :]) > _BEYOND * np.sum(power):
+            return False
+    return True
 
 
 def conventions_of(
@@ -135,7 +174,7 @@ def conventions_of(
     model, seen = plain[0].simulator, []
     for case in plain:
         measured = np.array([channel.mean for channel in case.channels])
-        task = replace(case.task, interpolation="hold", linear=(), after=())
+        task = replace(case.task, interpolation="hold", linear=(), band_limited=(), after=())
         seen.append(SeenRun(model, task, measured, runner, values=case.start_values(values)))
     own = {variable for n, (variable, _) in plain[0].setting.items() if n in names}
     free = [v for v in model.variables.values() if v.name in own and v.start]
@@ -216,8 +255,8 @@ def _read_after(held: Sequence[SeenRun]) -> list[Convention]:
 
 def timed(run: SeenRun, convention: Convention) -> SeenRun:
     """Return a run with another timing of its signals."""
-    if convention.timing == "linear":
-        return run.timed("linear")
+    if convention.timing in ("linear", "band-limited"):
+        return run.timed(convention.timing)
     after = convention.timing == "held-read-after"
     return run.timed("hold", tuple(n for n in run.outputs if after and n not in convention.signals))
 
