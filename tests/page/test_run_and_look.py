@@ -108,7 +108,7 @@ def test_a_running_search_is_paused_resumed_and_steered(tank: Path, opened: Open
 
     page.get_by_role("button", name="Start").click()
     status.get_by_text(re.compile("Running: stage all")).wait_for()
-    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Pause").first.click()
     status.get_by_text(re.compile("Paused: stage all")).wait_for()
     at_rest = evaluations()
     page.wait_for_timeout(1500)
