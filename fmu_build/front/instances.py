@@ -538,7 +538,7 @@ class World:
         """Return advice for a name that does not exist."""
         first = name.partition(".")[0]
         top = self.library.top(first)
-        fix = "with --root, or as `roots` of the model in campaign.toml"
+        fix = "with --root (roots= in Python), or as `roots` of the model in campaign.toml"
         if first in self.library.stand_ins:
             return (
                 "this needs the Modelica Standard Library, which is not found: get it with `git clone "

@@ -29,21 +29,29 @@ if TYPE_CHECKING:
     from fmuid.core.experiments import Signal as Signal
     from fmuid.data.measurements import read_measurements as read_measurements
     from fmuid.data.measurements import write_measurements as write_measurements
+    from fmuid.design_pipeline import Designed as Designed
     from fmuid.design_pipeline import design_experiment as design_experiment
     from fmuid.diagnosis.diagnose import Found as Found
     from fmuid.diagnosis_pipeline import diagnose as diagnose
+    from fmuid.identification.history import StageHistory as StageHistory
     from fmuid.identification.history import read_history as read_history
     from fmuid.identification.identify import identify as identify
     from fmuid.identification.observer import Observer as Observer
+    from fmuid.identification.problem.cases import Case as Case
     from fmuid.identification.problem.cases import measured_case as measured_case
     from fmuid.identification.problem.estimation_problem import Problem as Problem
     from fmuid.identification.result import Result as Result
+    from fmuid.identification.result import StageResult as StageResult
     from fmuid.identification.solvers import Status as Status
     from fmuid.identification.solvers import StopRules as StopRules
     from fmuid.identification.terminal_progress import TerminalProgress as TerminalProgress
+    from fmuid.identification.uncertainty.confidence import Uncertainty as Uncertainty
     from fmuid.identification.uncertainty.confidence import uncertainty_of as uncertainty_of
+    from fmuid.identification.uncertainty.profiles import Profile as Profile
     from fmuid.identification.uncertainty.profiles import profile_of as profile_of
+    from fmuid.identification.uncertainty.propagation import Propagated as Propagated
     from fmuid.identification.uncertainty.propagation import propagate as propagate
+    from fmuid.identification.uncertainty.sensitivity import Sensitivity as Sensitivity
     from fmuid.identification.uncertainty.sensitivity import sensitivity_of as sensitivity_of
     from fmuid.identification.uncertainty.sobol_morris import GlobalSensitivity as GlobalSensitivity
     from fmuid.identification.uncertainty.sobol_morris import global_sensitivity_of as global_sensitivity_of
@@ -51,8 +59,10 @@ if TYPE_CHECKING:
     from fmuid.identification.validate import validate as validate
     from fmuid.init.starting import start as start
     from fmuid.sensitivity_pipeline import global_sensitivity as global_sensitivity
+    from fmuid.simulation.coupled.coupled_model import CoupledModel as CoupledModel
     from fmuid.simulation.coupled.loading import couple as couple
     from fmuid.simulation.coupled.loading import load_model as load_model
+    from fmuid.simulation.fmu import Fmu as Fmu
     from fmuid.simulation.fmu import load_fmu as load_fmu
     from fmuid.simulation.pool.workers import WorkerPool as WorkerPool
     from fmuid.simulation.simulator import Simulator as Simulator
@@ -65,8 +75,12 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "AnalysisSpec": "core.campaign",
     "Campaign": "core.campaign",
+    "Case": "identification.problem.cases",
+    "CoupledModel": "simulation.coupled.coupled_model",
     "CriterionSpec": "core.campaign",
+    "Designed": "design_pipeline",
     "Experiment": "core.experiments",
+    "Fmu": "simulation.fmu",
     "FmuidError": "core.errors",
     "Found": "diagnosis.diagnose",
     "GlobalSensitivity": "identification.uncertainty.sobol_morris",
@@ -76,14 +90,20 @@ _PUBLIC = {
     "ParameterSpec": "core.campaign",
     "ParetoSpec": "core.campaign",
     "Problem": "identification.problem.estimation_problem",
+    "Profile": "identification.uncertainty.profiles",
+    "Propagated": "identification.uncertainty.propagation",
     "Result": "identification.result",
+    "Sensitivity": "identification.uncertainty.sensitivity",
     "Signal": "core.experiments",
     "Simulator": "simulation.simulator",
+    "StageHistory": "identification.history",
+    "StageResult": "identification.result",
     "StageSpec": "core.campaign",
     "Status": "identification.solvers",
     "StopRules": "identification.solvers",
     "Task": "simulation.simulator",
     "TerminalProgress": "identification.terminal_progress",
+    "Uncertainty": "identification.uncertainty.confidence",
     "Validation": "identification.validate",
     "Variable": "simulation.simulator",
     "WorkerPool": "simulation.pool.workers",

@@ -37,7 +37,7 @@ def test_a_german_logger_is_understood(tmp_path: Path, encoding: str) -> None:
 
 def test_a_file_without_a_header(tmp_path: Path) -> None:
     (tmp_path / "raw.txt").write_text("0.0\t1.0\t2\n0.1\t1.5\t3\n")
-    with pytest.raises(MeasurementsError, match=r"has no header .*; name its columns: --columns"):
+    with pytest.raises(MeasurementsError, match=r"has no header .*; name its columns: columns="):
         read_csv(tmp_path / "raw.txt")
     table = read_csv(tmp_path / "raw.txt", TableLayout(("time", "tau [N.m]", "w [rad/s]")))
     np.testing.assert_array_equal(table.columns["w"], [2, 3])

@@ -54,7 +54,7 @@ def test_columns_of_a_matrix_are_chosen(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_vectors_without_times_need_a_rate(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"uEst": np.arange(8.0), "yEst": np.arange(8.0), "Ts": 4.0})
-    with pytest.raises(MeasurementsError, match=r"give --rate HZ \(the file has Ts = 4\)"):
+    with pytest.raises(MeasurementsError, match=r"give rate=HZ \(the file has Ts = 4\)"):
         read_recording(tmp_path / "a.mat")
     layout = TableLayout(("u [V]=uEst", "y [V]=yEst"), 0.25)
     (table,) = read_recording(tmp_path / "a.mat", layout=layout).tables
@@ -64,7 +64,7 @@ def test_vectors_without_times_need_a_rate(tmp_path: Path) -> None:
 
 def test_a_file_that_has_times_takes_no_rate(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time,x [m]\n0,1\n1,2\n")
-    with pytest.raises(MeasurementsError, match="has times in 'time', and a rate is given; leave --rate out"):
+    with pytest.raises(MeasurementsError, match="has times in 'time', and a rate is given; leave rate= out"):
         read_csv(tmp_path / "a.csv", TableLayout(rate=5.0))
     (tmp_path / "b.csv").write_text("x [m],y\n1,0.5\n2,0.25\n")
     table = read_csv(tmp_path / "b.csv", TableLayout(rate=5.0))

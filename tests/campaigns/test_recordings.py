@@ -240,7 +240,7 @@ WRONG: dict[str, tuple[Make, str]] = {
     "folder.mf4": (lambda p: p.mkdir(), "is a folder, not a file; check the path"),
     "text.mf4": (lambda p: p.write_text("time,x\n"), "is not an MDF file; check the file"),
     "text.parquet": (lambda p: p.write_text("time,x\n0,1\n"), "cannot be read as Parquet (Parquet magic bytes not found in footer. Either the file is corrupted or this is not a parquet file.); write it again"),
-    "no_time.parquet": (lambda p: parquet.write_table(pa.table({"x": [1.0]}), p), "has no column 'time' or 't'; save one, choose one (--columns 'time=NAME,...') or give --rate HZ; known: x"),
+    "no_time.parquet": (lambda p: parquet.write_table(pa.table({"x": [1.0]}), p), "has no column 'time' or 't'; save one, choose one (columns='time=NAME,...') or give rate=HZ; known: x"),
     "words.parquet": (lambda p: parquet.write_table(pa.table({"t": ["a"], "x": [1.0]}), p), "column 't' does not contain times; write it in s"),
     "no_time.h5": (lambda p: h5py.File(p, "w").close(), "has no signal over time; save a vector 'time' or 't', in s, and signals as long as it"),
     "text.h5": (lambda p: p.write_text("time,x\n"), "cannot be read as HDF5 (Unable to synchronously open file (file signature not found)); write it again"),

@@ -85,7 +85,7 @@ def test_no_overlap() -> None:
     with pytest.raises(MeasurementsError) as error:
         one_time_base(apart, TimeBase(rate=10), "run")
     assert str(error.value) == (
-        "run: signals do not overlap: one begins at 2 s, another ends at 1 s; choose other signals with --signal"
+        "run: signals do not overlap: one begins at 2 s, another ends at 1 s; choose other signals with signals="
     )
 
 

@@ -255,9 +255,7 @@ def test_a_model_may_use_a_library_in_another_folder(
     Path("Drive.mo").write_text("model Drive\n  extends Motors.Winding;\nend Drive;\n")
     write_square_wave("run.csv")
 
-    lacking = (
-        "'Motors' is in no library; give its directory with --root, or as `roots` of the model in campaign.toml"
-    )
+    lacking = "'Motors' is in no library; give its directory with --root (roots= in Python), or as `roots` of the model in campaign.toml"
     code, _, err = fmuid("init", "run.csv", "--model", "Drive.mo", "--workers", "0")
     assert (code, lacking in err) == (2, True), err
     model = ("--model", "Drive.mo", "--root", "libraries")

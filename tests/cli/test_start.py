@@ -43,7 +43,7 @@ def test_a_campaign_is_replaced_only_if_asked_for(
 ) -> None:
     frame = next(iter(measurements)).to_frame()
     fmuid.start(frame, oscillator, say=lambda _: None)
-    with pytest.raises(fmuid.FmuidError, match="already exists"):
+    with pytest.raises(fmuid.FmuidError, match=r"already exists; replace it with replace=True"):
         fmuid.start(frame, oscillator)
     fmuid.start(frame, oscillator, replace=True, say=lambda _: None)
 
@@ -55,3 +55,13 @@ def test_what_is_no_log_is_one_line(folder: Path, oscillator: Path) -> None:
         fmuid.start(pd.DataFrame({"x [m]": [1.0, 2.0]}), oscillator)
     with pytest.raises(fmuid.FmuidError, match="data frames of 'excel' are not supported"):
         to_frame({}, "excel")  # type: ignore[arg-type]
+
+
+def test_messages_name_arguments_in_python_and_options_at_a_shell(
+    folder: Path, oscillator: Path, measurements: Measurements, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frame = next(iter(measurements)).to_frame()
+    with pytest.raises(fmuid.FmuidError, match=r"no signal 'nothing' is used") as refused:
+        fmuid.start(frame, oscillator, sigmas={"nothing": 1.0}, say=lambda _: None)
+    assert str(refused.value).startswith("sigmas=: ")
+    assert refused.value.where == "--sigma"

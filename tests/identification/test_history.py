@@ -258,7 +258,7 @@ def test_the_history_of_ten_thousand_runs_is_written_and_read(tmp_path, msd):
 
 def test_an_interrupted_run_is_never_overwritten(tmp_path, msd):
     stopped = identify(msd(), solver="bobyqa", out=tmp_path, observer=Interrupt(6))
-    with pytest.raises(JournalError, match="contains an interrupted run; continue with --resume"):
+    with pytest.raises(JournalError, match="contains an interrupted run; continue with resume=True"):
         identify(msd(), solver="bobyqa", out=tmp_path)
     assert Result.from_json(tmp_path) == stopped
     done = identify(msd(), solver="bobyqa", out=tmp_path, resume=True)

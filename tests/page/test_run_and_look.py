@@ -30,7 +30,7 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
     page = browser.new_page()
     page.goto(address)
     page.get_by_role("tab", name="Run").press("Enter")
-    status = page.get_by_role("tabpanel", name="Run").get_by_role("status")
+    status = page.get_by_role("tabpanel", name="Run").get_by_role("status").first  # of the search
     status.get_by_text("Not started").wait_for()
     page.get_by_role("button", name="Start").click()
     status.get_by_text(re.compile("Done: stage all")).wait_for()
@@ -83,7 +83,7 @@ def test_a_search_that_a_command_makes_is_followed(tank: Path, opened: Opened, b
     page = browser.new_page()
     page.goto(address)
     page.get_by_role("tab", name="Run").click()
-    status = page.get_by_role("tabpanel", name="Run").get_by_role("status")
+    status = page.get_by_role("tabpanel", name="Run").get_by_role("status").first  # of the search
     status.get_by_text("Not started").wait_for()
     identify = [sys.executable, "-c", start, "identify", "campaign", "--no-report", "-q"]
     subprocess.run(identify, cwd=tank, check=True)
@@ -100,7 +100,7 @@ def test_a_running_search_is_paused_resumed_and_steered(tank: Path, opened: Open
     page = browser.new_page()
     page.goto(address)
     page.get_by_role("tab", name="Run").click()
-    status = page.get_by_role("tabpanel", name="Run").get_by_role("status")
+    status = page.get_by_role("tabpanel", name="Run").get_by_role("status").first  # of the search
 
     def evaluations() -> int:
         found = re.search(r"(\d+) evaluations", status.inner_text())

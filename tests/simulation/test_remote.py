@@ -145,7 +145,7 @@ def test_lost_workers_are_one_line(build):
         (process,) = executor._processes.values()
         process.kill()
         process.join()
-        with pytest.raises(FmuidError, match=r"ProcessPoolExecutor: has lost its workers .* --resume"):
+        with pytest.raises(FmuidError, match=r"ProcessPoolExecutor: has lost its workers .* resume=True"):
             run([(load_fmu(build(2)), TASK, {})])
 
 

@@ -27,7 +27,7 @@ from fmuid.cli import (
 )
 from fmuid.cli import identifying as identification
 from fmuid.cli.interruption import INTERRUPTED
-from fmuid.core.errors import FmuidError
+from fmuid.core.errors import AT_A_SHELL, FmuidError
 
 DONE, NO, BAD_INPUT = 0, 1, 2
 
@@ -73,6 +73,14 @@ def _root(
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; every user error is one line on stderr."""
+    token = AT_A_SHELL.set(True)
+    try:
+        return _run(arguments)
+    finally:
+        AT_A_SHELL.reset(token)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     try:
         code = app(arguments, standalone_mode=False)
         sys.stdout.flush()  # reports a full disk here, not when Python ends

@@ -2,7 +2,31 @@
 
 from __future__ import annotations
 
+import re
+from contextvars import ContextVar
 from functools import partial
+
+AT_A_SHELL: ContextVar[bool] = ContextVar("AT_A_SHELL", default=False)
+"""Whether messages are for somebody who types commands, so that they name options, as in ``--root``."""
+
+_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)(?: (?=['\"A-Z]))?")
+_ARGUMENTS = {
+    "experiment": "experiments=",
+    "for": "purpose=",
+    "from": "start=",
+    "resume": "resume=True",
+    "root": "roots=",
+    "sigma": "sigmas=",
+    "signal": "signals=",
+    "stage": "stages=",
+    "trust": "trust=True",
+    "unit": "units=",
+}
+
+
+def in_python(text: str) -> str:
+    """Return a message with Python arguments, such as ``roots=``, in place of command-line options."""
+    return _OPTION.sub(lambda m: _ARGUMENTS.get(m[1], m[1].replace("-", "_") + "="), text)
 
 
 class FmuidError(Exception):
@@ -24,6 +48,10 @@ class FmuidError(Exception):
         self.fix = fix
         place = "" if self.where is None else f"{self.where}: "
         super().__init__(" ".join(f"{place}{what}{'' if fix is None else f'; {fix}'}".split()))
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if AT_A_SHELL.get() else in_python(text)
 
     def __reduce__(self) -> tuple[object, ...]:
         # Errors are sent between processes; keyword arguments need this to be pickled.

@@ -121,13 +121,20 @@ def start(
 
     Examples
     --------
-    >>> campaign = fmuid.start("log.csv", model="MyDrive.mo")  # doctest: +SKIP
-    >>> result = fmuid.identify(campaign)  # doctest: +SKIP
-    >>> fmuid.diagnose(result)  # doctest: +SKIP
+    >>> campaign = fmuid.start("log.csv", model="Tank.mo", say=lambda line: None)
+    >>> result = fmuid.identify(campaign)
+    >>> round(result.parameters["G"], 1)
+    8.0
+    >>> fmuid.diagnose(result).diagnosis.verdict.kind
+    'complete'
     """
     folder = Path(out)
     if replace:
         (folder / FILE_NAME).unlink(missing_ok=True)
+    elif (folder / FILE_NAME).exists():
+        raise CampaignError(
+            "already exists", where=folder / FILE_NAME, fix="replace it with replace=True, or choose another out="
+        )
     given = given_model(Path(model), class_name, [Path(root) for root in roots])
     with runner_on(workers) as runner:
         made = new_campaign(
