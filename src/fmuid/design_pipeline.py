@@ -43,7 +43,17 @@ _FURTHER = {"sensor": "It takes", "setting": "Or set", "limits": "Or allow"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Designed:
-    """A designed experiment: its JSON value, and the input samples (N,) at (N,) times for the rig."""
+    """A designed experiment.
+
+    Parameters
+    ----------
+    answer
+        The value of ``design.json``.
+    time, inputs, units
+        (N,) times, (N,) samples of each input for the rig, and their units.
+    interrupted
+        Whether the search was interrupted; this is then the best experiment so far.
+    """
 
     answer: Mapping[str, Any]
     time: FloatArray

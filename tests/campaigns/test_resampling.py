@@ -31,8 +31,8 @@ def test_refused_until_told() -> None:
         one_time_base(RECORDING, None, "run.mf4")
     assert str(error.value) == (
         "run.mf4: has signals with 3 time bases (w, ripple: 1000 Hz, 1001 samples, 0 to 1 s; oil: 100 Hz, 101 samples,"
-        " 0.05 to 1.05 s; u: uneven steps of 0.333 to 0.377 s, 3 samples, 0 to 0.71 s); choose signals with --signal,"
-        " or a common time base with --resample RATE or --align SIGNAL"
+        " 0.05 to 1.05 s; u: uneven steps of 0.333 to 0.377 s, 3 samples, 0 to 0.71 s); choose signals with signals=,"
+        " or a common time base with base.rate=RATE or base.align=SIGNAL"
     )
     table, how = one_time_base(RECORDING.only(["w"]), None, "run.mf4")
     assert (table.time.size, how) == (1001, {})

@@ -11,9 +11,11 @@ AT_A_SHELL: ContextVar[bool] = ContextVar("AT_A_SHELL", default=False)
 
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)(?: (?=['\"A-Z]))?")
 _ARGUMENTS = {
+    "align": "base.align=",
     "experiment": "experiments=",
     "for": "purpose=",
     "from": "start=",
+    "resample": "base.rate=",
     "resume": "resume=True",
     "root": "roots=",
     "sigma": "sigmas=",

@@ -59,7 +59,21 @@ class HistoryError(FmuidError):
 
 @dataclass(slots=True, eq=False)
 class StageHistory:
-    """The evaluations of one stage, in order."""
+    """The evaluations of one stage, in order.
+
+    Parameters
+    ----------
+    name, fingerprint
+        Name of the stage, and a hash of everything that its evaluations depend on.
+    parameters, criteria, cases, signals
+        Names of its parameters, criteria and cases, and the signals of each case.
+    rows
+        The evaluations.
+    begun, result
+        The stage's result as JSON, before the first evaluation and at the end.
+    asked
+        The analyses requested for the result.
+    """
 
     name: str
     fingerprint: str
@@ -68,9 +82,9 @@ class StageHistory:
     cases: tuple[str, ...]
     signals: tuple[tuple[str, ...], ...]
     rows: Rows = field(default_factory=Rows)
-    begun: bytes | None = None  # its result, as JSON, before the first evaluation
+    begun: bytes | None = None
     result: bytes | None = None
-    asked: str = ""  # the analyses requested for the result
+    asked: str = ""
 
     @property
     def costs(self) -> FloatArray:

@@ -91,9 +91,32 @@ class CriterionValue:
 
 @dataclass(frozen=True, slots=True)
 class StageResult:
-    """Outcome of one stage; `parameters` are all values after it, free or fixed.
+    """Outcome of one stage.
 
-    `cost` is None if no candidate could be simulated.
+    Parameters
+    ----------
+    name, status, message
+        Name of the stage, and how it ended.
+    solver, why
+        The solver, and why it was chosen.
+    estimates, parameters
+        Estimates of the free parameters, and the values of all parameters after the stage.
+    experiments, criteria
+        Ids of its experiments, and the values of its criteria.
+    start_cost, cost
+        Cost at the start and at the end; None if no candidate could be simulated.
+    evaluations, failures, seconds
+        Number of evaluations, how many of them failed, and the time they took.
+    starts, profiles, spread, front, posterior
+        Outcomes of starts, profiles, spreads of criteria, Pareto front and posterior, where they were requested.
+    uncertainty, ties, links
+        Covariance of the estimates, tied parameters, and what follows for other parameters.
+    machines
+        Differences between machines.
+    unexplained
+        Shares of the outputs that the model does not explain.
+    warnings
+        Messages for the user.
     """
 
     name: str

@@ -106,10 +106,24 @@ class Channel:
 class Case:
     """One simulation of a problem: its task, its channels and its criteria.
 
-    `setting` gives, by parameter name, the model's variable and the conversion from the parameter's unit to the
-    variable's; other parameters do not affect this model. The model's first `lead` samples come before the first
-    measured one. `columns` are the (N,) means over repeats, with their units, of the logged columns that the plain
-    model does not use, by the names of the inputs that they become.
+    Parameters
+    ----------
+    id, setup, machine
+        Name of the case, and the setup and machine that it was recorded with.
+    simulator, task
+        The model, and what it has to simulate.
+    channels, criteria
+        Measured outputs, and what is judged of them.
+    setting
+        By parameter name, the model's variable and the conversion from the parameter's unit to the variable's;
+        other parameters do not affect this model.
+    experiments
+        Ids of the experiment and its repeats.
+    lead
+        Number of the model's samples before the first measured one.
+    columns
+        (N,) means over repeats, with their units, of the logged columns that the plain model does not use, by the
+        names of the inputs that they become.
     """
 
     id: str

@@ -42,7 +42,7 @@ _FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Covariance of the free parameters, and its basis.
+    """Covariance of the free parameters `names` at `point`, and its basis.
 
     `covariance` (n, n) and `correlation` are in search space, `standard_errors` (n,) and `intervals` (95 %) in
     model space; the latter are None if the experiments do not determine the parameter. All of them include the
@@ -50,7 +50,9 @@ class Uncertainty:
     are their names, `held_slopes` (n, h) the derivatives of the estimate with respect to them in model space.
     `degrees_of_freedom` belong to the stage's own noise, `degrees` (n,) to the standard errors; None means
     infinite. `robust` are the parameters whose errors come from the scatter between runs (`clusters`), which
-    exceeds that of coloured noise. `notes` state conditions of the standard errors, or why there are none;
+    exceeds that of coloured noise. `naive_errors` (n,) would hold for white noise. `whiteness` tests the
+    residuals, `identifiability` the directions that the experiments determine, and `noise_floor` is the
+    simulator's. `notes` state conditions of the standard errors, or why there are none;
     `constraints` are the active ones.
     """
 

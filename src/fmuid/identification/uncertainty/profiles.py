@@ -26,6 +26,8 @@ class Profile:
 
     Parameters
     ----------
+    name, level
+        The parameter, and the confidence level of the interval.
     values
         (k,) in model space, ascending.
     rise

@@ -23,7 +23,8 @@ class Propagated:
     """Distribution of predictions and criteria under parameter uncertainty, by Monte Carlo.
 
     `lower` and `upper` are the (channels, N) bounds for the requested level, one pair per case; `criteria` are the
-    (draws, n_criteria) values divided by their demands, for draws that could be simulated.
+    (draws, n_criteria) values divided by their demands, for draws that could be simulated; `failed` is the number
+    of the others.
     """
 
     lower: tuple[FloatArray, ...]

@@ -26,6 +26,8 @@ class Sensitivity:
 
     Parameters
     ----------
+    names, labels
+        The parameters and the criteria.
     effect
         (n_parameters, n_criteria): root mean square change of a criterion's residuals (in sigmas) for a 1 %
         change of a parameter.
