@@ -329,7 +329,7 @@ def _write(
     seed: int,
 ) -> None:
     from fmuid.report.design_page import PlannedSignal, write_design_page
-    from fmuid.report.provenance_table import hashes, versions
+    from fmuid.report.provenance_table import provenance_of
 
     with claim(out):
         write_csv(Table(designed.time, designed.inputs, designed.units), out / INPUT)
@@ -357,13 +357,11 @@ def _write(
             )
             for k, c in enumerate(planned.case.channels)
         ]
-        files = [] if campaign.file is None else [campaign.file]
-        files += [file for model in campaign.models.values() for file in model.files]
         write_design_page(
             designed.answer,
             out,
             campaign=campaign.title,
             inputs=inputs,
             outputs=outputs,
-            provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
+            provenance=provenance_of(campaign, seed),
         )

@@ -412,7 +412,7 @@ def _write(
 ) -> Corrected | None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_arrays import pictures_of
-    from fmuid.report.provenance_table import hashes, versions
+    from fmuid.report.provenance_table import provenance_of
 
     answer = answer_of(found, campaign)
     corrected = _write_corrected(found, campaign, out, law)
@@ -425,7 +425,6 @@ def _write(
                 " standard deviations of the noise. Please report it; 'model' has the fitted values."
             )
     write_atomically(out / FILE_NAME, json.dumps(answer, indent=2, allow_nan=False) + "\n")
-    files = [campaign.file or campaign.folder / "campaign.toml", *_files(campaign, found.subject)]
     write_diagnosis_report(
         answer,
         out,
@@ -433,7 +432,7 @@ def _write(
         pictures=pictures_of(found, _predicted(law)),
         model=_drawing(campaign, found),
         units={n: p.unit for n, p in campaign.parameters.items() if p.unit},
-        provenance={**hashes(files, campaign.folder), **versions(), "seed": str(seed)},
+        provenance=provenance_of(campaign, seed, files=_files(campaign, found.subject)),
     )
     return corrected
 

@@ -179,13 +179,11 @@ def answer_of_sensitivity(found: GlobalSensitivity, campaign: Campaign) -> Mappi
 
 
 def _write(found: GlobalSensitivity, campaign: Campaign, out: Path) -> None:
-    from fmuid.report.provenance_table import hashes, versions
+    from fmuid.report.provenance_table import provenance_of
     from fmuid.report.sensitivity_page import write_sensitivity_page
 
     with claim(out):
         write_atomically(out / FILE_NAME, json.dumps(answer_of_sensitivity(found, campaign), indent=2) + "\n")
-        files = [] if campaign.file is None else [campaign.file]
-        files += [file for model in campaign.models.values() for file in model.files]
-        provenance = {**hashes(files, campaign.folder), **versions("SALib"), "seed": str(found.seed)}
+        provenance = provenance_of(campaign, found.seed, "SALib")
         units = {spec.name: spec.unit or "" for spec in campaign.parameters.values()}
         write_sensitivity_page(found, out, campaign=campaign.title, units=units, provenance=provenance)

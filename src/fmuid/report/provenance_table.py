@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
+from fmuid.core.campaign import Campaign
 from fmuid.identification import provenance
 from fmuid.report.plotly_js import plotly_js_version
 from fmuid.report.plots.figure_data import Table
@@ -35,6 +36,13 @@ def hashes(paths: Iterable[Path], folder: Path) -> dict[str, str]:
             name = path.relative_to(folder).as_posix() if inside else path.name
             found[f"{name} (SHA-256)"] = file_hash(path)
     return found
+
+
+def provenance_of(campaign: Campaign, seed: int, *more: str, files: Iterable[Path] = ()) -> dict[str, str]:
+    """Return the hashes of a campaign, its models and `files`, the versions including `more`, and the seed."""
+    own = [campaign.file or campaign.folder / "campaign.toml"]
+    own += [file for model in campaign.models.values() for file in model.files]
+    return {**hashes(dict.fromkeys([*own, *files]), campaign.folder), **versions(*more), "seed": str(seed)}
 
 
 def provenance_table(values: Mapping[str, str]) -> Table:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -17,14 +16,14 @@ from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.segmented import states_of
-from fmuid.simulation.simulator import Feedback, Simulator, Task, Variable
+from fmuid.simulation.simulator import Feedback, Simulator, Task, Wrapped
 
 _DISTURBED = 0.1  # share of an input that the first gain assumes to be unknown
 _LEAST = 1e-3  # disturbance of every state, in sigmas of the outputs, so that no gain is 0
 _STEP = 1e-4
 
 
-class ObserverModel(Simulator):
+class ObserverModel(Wrapped):
     """A simulator of one case whose runs are predictions from the preceding samples; a `Simulator`.
 
     Its gains are set like parameters, ``observer[state,output]``; gains that are not set are 0.
@@ -50,16 +49,6 @@ class ObserverModel(Simulator):
         self.simulator = load_fmu(simulator.path, "model exchange")
         self._states = states_of(self.simulator)
         self.measured = read_only(measured)
-
-    @property
-    def variables(self) -> Mapping[str, Variable]:
-        """Variables of the model."""
-        return self.simulator.variables
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files of the model."""
-        return self.simulator.files
 
     @property
     def states(self) -> tuple[str, ...]:

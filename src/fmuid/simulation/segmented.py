@@ -16,7 +16,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -24,7 +23,7 @@ import numpy as np
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.simulation.band_limited import refined
-from fmuid.simulation.simulator import Simulator, Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Wrapped
 
 Length = float | Literal["auto"]
 """Length of a segment, s; ``auto`` for the longest over which small errors stay small."""
@@ -88,7 +87,7 @@ class _Cut:
     growth: Growth | None = None
 
 
-class Segmented(Simulator):
+class Segmented(Wrapped):
     """A simulator that restarts in each segment, from the states that fit the segment's samples best.
 
     A `Simulator` of one case: its predictions depend on the measurement.
@@ -131,16 +130,6 @@ class Segmented(Simulator):
         self._pieces: OrderedDict[int, tuple[Task, list[Task]]] = OrderedDict()
         self._others: dict[int, Segmented] = {}
         self.missing: tuple[str, ...] = ()
-
-    @property
-    def variables(self) -> Mapping[str, Variable]:
-        """Variables of the model."""
-        return self.simulator.variables
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files of the model."""
-        return self.simulator.files
 
     @property
     def states(self) -> tuple[str, ...]:

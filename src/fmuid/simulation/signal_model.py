@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -13,14 +12,14 @@ from fmuid.core.campaign import Interface
 from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
 from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturbed_task, signal_and_property
-from fmuid.simulation.simulator import Simulator, Task, Variable
+from fmuid.simulation.simulator import Simulator, Task, Variable, Wrapped
 
 _UNITS = {"gain": "1", "hardness": "1", "lag": "s", "delay": "s"}
 _IN_UNIT = ("offset", "saturation", "dead_zone")  # values in the signal's unit
 _COMMUTE = ("gain", "lag", "delay")  # effects that commute with differentiating the signal
 
 
-class SignalModel(Simulator):
+class SignalModel(Wrapped):
     """A model with effects on its inputs and outputs.
 
     Parameters
@@ -68,11 +67,6 @@ class SignalModel(Simulator):
     def variables(self) -> Mapping[str, Variable]:
         """Variables of the model, and the effects on its signals."""
         return self._variables
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files of the model."""
-        return self.simulator.files
 
     @property
     def interface(self) -> Interface | None:

@@ -215,3 +215,19 @@ class Simulator(ABC):
         """Return whether runs are differentiated exactly with respect to `names` (see `Task.along`)."""
         del names
         return False
+
+
+class Wrapped(Simulator):
+    """A simulator around another one, `simulator`."""
+
+    simulator: Simulator
+
+    @property
+    def variables(self) -> Mapping[str, Variable]:
+        """Variables of the model."""
+        return self.simulator.variables
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of the model."""
+        return self.simulator.files
