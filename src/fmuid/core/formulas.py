@@ -142,6 +142,11 @@ def _shown(text: str) -> str:
     return f"'{text}'" if len(text) <= _SHOWN else f"'{text[:_SHOWN]}...' ({len(text)} characters)"
 
 
+def parse_modelica(text: str, *, where: object = None) -> Expression:
+    """Parse arithmetic as Modelica writes it, with ``^`` for powers; see `parse`."""
+    return parse(text.replace("^", "**"), where=where)
+
+
 @lru_cache(maxsize=_REMEMBERED)
 def _parsed(text: str) -> Expression:
     names: set[str] = set()

@@ -19,7 +19,7 @@ from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import Coefficient, Port, coefficients
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import SimulationError
-from fmuid.core.formulas import parse
+from fmuid.core.formulas import parse, parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import toml_text
 from fmuid.data.filtering import first_order
@@ -386,7 +386,7 @@ def _change(law: Law, x: FloatArray, time: FloatArray, values: Mapping[str, floa
 
 
 def _evaluated(text: str, columns: Mapping[str, FloatArray | float], like: FloatArray) -> FloatArray:
-    expression = parse(text.replace("^", "**"))
+    expression = parse_modelica(text)
     full = {n: np.broadcast_to(columns[n], like.shape) for n in expression.names}
     with np.errstate(all="ignore"):
         return np.broadcast_to(expression.of_samples(full), like.shape).astype(np.float64)
@@ -453,7 +453,7 @@ def course_of(subject: Subject, effect: Effect, values: Mapping[str, float]) -> 
     """Return a coefficient that varies at fitted values over what it depends on; None for other effects."""
     if effect.acts != "parameter" or not effect.expression:
         return None
-    formula = parse(effect.expression.replace("^", "**"))
+    formula = parse_modelica(effect.expression)
     own = {u.name: values.get(u.name, u.start) for u in effect.unknowns}
     (source,) = formula.names - {"p", *own}
     cases = subject.model.cases

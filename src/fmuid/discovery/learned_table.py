@@ -17,7 +17,7 @@ from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import ProblemError, SimulationError
-from fmuid.core.formulas import parse
+from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
@@ -357,7 +357,7 @@ def _effect(law: Law, id: str, description: str) -> Effect:
 
 def _names(effect: Effect) -> frozenset[str]:
     try:
-        return parse(effect.expression.replace("^", "**")).names
+        return parse_modelica(effect.expression).names
     except ProblemError:
         return frozenset()
 

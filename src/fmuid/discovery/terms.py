@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from fmuid.core.formulas import parse
+from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.data.filtering import first_order
 
@@ -126,14 +126,14 @@ class Term:
 
 def evaluated(text: str, columns: Mapping[str, FloatArray]) -> FloatArray:
     """Return the value of a Modelica expression of this library at every sample of (N,) columns."""
-    expression = parse(text.replace("^", "**"))
+    expression = parse_modelica(text)
     found = expression.of_samples({n: columns[n] for n in expression.names})
     return np.broadcast_to(found, np.shape(columns["time"])).astype(np.float64)
 
 
 def names_in(text: str) -> frozenset[str]:
     """Return the names in a Modelica expression of this library."""
-    return parse(text.replace("^", "**")).names
+    return parse_modelica(text).names
 
 
 def _lagged(rate: str, columns: Mapping[str, FloatArray], time: FloatArray) -> FloatArray:

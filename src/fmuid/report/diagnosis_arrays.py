@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.core.errors import ProblemError, SimulationError
-from fmuid.core.formulas import parse
+from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.diagnose import Found
 from fmuid.diagnosis.extended_model import Prediction
@@ -177,7 +177,7 @@ def _law(
     if not effect.expression or effect.acts != "flow" or effect.states:
         return None
     try:
-        formula = parse(effect.expression.replace("^", "**"))
+        formula = parse_modelica(effect.expression)
     except ProblemError:  # it has an `if`, or depends on a derivative
         return None
     own = {u.name: np.asarray(values[u.name]) for u in effect.unknowns}
