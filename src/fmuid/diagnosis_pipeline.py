@@ -35,6 +35,7 @@ from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.discovery.learned_table import Tabulated, tabulate
 from fmuid.identification.continued import continued, is_run
+from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import Result
 from fmuid.init.timing import chosen, conventions_of
 from fmuid.simulation.model_source import flat_model
@@ -48,14 +49,15 @@ if TYPE_CHECKING:
 
 
 def with_timing_of_log(campaign: Campaign, found: Found, runner: Runner) -> tuple[Campaign, str] | None:
-    """Return the campaign with the timing that explains a lag or delay of less than a sample, and a note.
+    """Return the campaign with the timing that explains what the diagnosis blames on signals, and a note.
 
-    None if the diagnosis has no such lag or delay, or if no other timing explains it.
+    That is a lag or delay of less than a sample, or crosstalk of an input: one that acts otherwise between its
+    samples looks like it. None if the diagnosis has neither, or if no other timing explains it.
     """
     setups = {}
     for setup in dict.fromkeys(case.setup for case in found.subject.model.cases):
         cases = [case for case in found.subject.model.cases if case.setup == setup]
-        if not _is_late(found, min(float(np.median(np.diff(case.time))) for case in cases)):
+        if not _may_be_timing(found, cases):
             continue
         values = {**found.subject.model.fixed, **{u.name: u.start for u in found.subject.nominal}}
         names = {without_owner(u.name) for u in found.subject.nominal}
@@ -77,11 +79,20 @@ def with_timing_of_log(campaign: Campaign, found: Found, runner: Runner) -> tupl
     return replace(campaign, models=models, timings=timings), note
 
 
-def _is_late(found: Found, step: float) -> bool:
-    """Return whether the best answer has a lag or delay of a signal that is shorter than a sample."""
+def _may_be_timing(found: Found, cases: Sequence[Case]) -> bool:
+    """Return whether the best answer has a lag or delay below a sample, or crosstalk of an input to an output."""
+    step = min(float(np.median(np.diff(case.time))) for case in cases)
+    shown = {channel.signal for case in cases for channel in case.channels}
     for name, value in found.corrected.fit.values.items():
-        signal = signal_and_property(name)
-        if signal is not None and signal[1] in ("lag", "delay") and 0.0 < value < step:
+        signal, prop = signal_and_property(name) or ("", "")
+        if prop in ("lag", "delay") and 0.0 < value < step:
+            return True
+        if (
+            prop.startswith("crosstalk[")
+            and value
+            and signal in shown
+            and prop[len("crosstalk[") : -1] not in shown
+        ):
             return True
     return False
 

@@ -1,4 +1,4 @@
-"""A lag or delay of less than a sample is not reported if the timing of the log explains it."""
+"""A lag or delay below a sample, or crosstalk, is not reported if the timing of the log explains it."""
 
 from __future__ import annotations
 
@@ -40,8 +40,19 @@ C = { start = 50.0, lower = 5.0, upper = 500.0 }
 TIME = np.arange(0.0, 200.0, 1.0)
 
 
-@pytest.mark.parametrize(("delay", "timing"), [(0.4, "held-read-after"), (1.6, None), (0.0, None)])
-def test_a_delay_of_less_than_a_sample(delay: float, timing: str | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("effect", "value", "timing"),
+    [
+        ("x.delay", 0.4, "held-read-after"),
+        ("x.delay", 1.6, None),
+        ("x.delay", 0.0, None),
+        ("x.crosstalk[u]", 0.1, "held-read-after"),
+        ("x.crosstalk[i]", 0.1, None),
+    ],
+)
+def test_what_the_timing_of_the_log_explains(
+    effect: str, value: float, timing: str | None, tmp_path: Path
+) -> None:
     (tmp_path / "Heater.mo").write_text(MODEL)
     model = load_fmu(build(tmp_path / "Heater.mo", "Heater", tmp_path, "2"))
     random = np.random.default_rng(4)
@@ -57,7 +68,7 @@ def test_a_delay_of_less_than_a_sample(delay: float, timing: str | None, tmp_pat
     nominal = [SimpleNamespace(name=n, start=campaign.parameters[n].start) for n in ("R", "C")]
     found = SimpleNamespace(
         subject=SimpleNamespace(model=SimpleNamespace(cases=cases, fixed={}), nominal=nominal),
-        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, "x.delay": delay})),
+        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, effect: value})),
     )
     retimed = with_timing_of_log(campaign, found, in_process)
     if timing is None:
