@@ -35,6 +35,14 @@ class Recorded:
     def runs(self):
         return tuple(SimpleNamespace(id=f"e{k}") for k in range(len(self.repeats)))
 
+    @property
+    def folds(self):
+        return tuple((k, slice(None)) for k in range(len(self.repeats)))
+
+    @property
+    def groups(self):
+        return tuple(range(len(self.repeats)))
+
 
 def lost(*loss):
     return HeldOut(np.array(loss), tuple(np.full(5, x) for x in loss), np.full(len(loss), 100.0))
@@ -95,13 +103,46 @@ def test_noise_that_is_a_bound_counts_as_large_as_what_is_left_where_models_diff
     assert decide.separation(a, quiet, single) == pytest.approx(1.0)
 
 
+def test_a_difference_scatters_as_much_as_from_experiment_to_experiment():
+    """Both leave much. The one is better in one experiment, the other in the next: neither is preferred."""
+    a = fitted(("a",), 2.0, residuals=[[20.0, 0.0], [30.0, 0.0]])
+    b = fitted(("b",), 2.0, residuals=[[30.0, 1.0], [21.0, 1.0]])
+    twice = Recorded(np.array([1.0, 1.0]))
+    each = np.array([30.0**2 + 1.0 - 20.0**2, 21.0**2 + 1.0 - 30.0**2])
+    scatter = 4.0 / 5.0 * np.sqrt(2.0) * each.std(ddof=1)
+    assert decide.separation(a, b, twice) == pytest.approx(each.sum() / scatter)
+    assert abs(decide.log_odds(a, b, twice)) < 0.1
+
+
+def test_prior_odds_decide_between_models_that_fit_alike():
+    usual, varying = (
+        replace(fitted((n,), 0.0, residuals=[[1.0], [1.0]]), log_prior=p) for n, p in (("a", -2.0), ("b", -5.0))
+    )
+    assert decide.log_odds(usual, varying, RECORDED) == pytest.approx(3.0)
+    assert decide.best_of([varying, usual], RECORDED) is usual
+
+
+def test_what_left_out_experiments_contradict_is_not_named_within_errors():
+    """Uncertain parameters excuse predictions that are poor, but not ones that double the gap."""
+    nominal = replace(
+        fitted((), 1.0), held_out=scattered([1.0, 1.1], [1.0, 1.1]), judged=scattered([1.0, 1.1], [1.0, 1.1])
+    )
+    excused = scattered([0.0, 0.1], [0.0, 0.1])
+    worse = replace(fitted(("a",), 0.1), held_out=scattered([4.0, 4.1], [5.0, 5.2]), judged=excused)
+    similar = replace(worse, held_out=scattered([1.0, 1.1], [0.98, 1.14]))
+    assert decide.closed_by(nominal, worse) < 0.0
+    assert not decide.names(nominal, worse, finished=True)
+    assert decide.closed_by(nominal, similar) > 0.6
+    assert decide.names(nominal, similar, finished=True)
+
+
 def test_the_best_answer_is_the_one_that_holds_up_on_other_data_among_those_that_fit_as_well():
     def of(name, cost, held_out):
-        return fitted((name,), 1.0, held_out=held_out, cost=cost)
+        return fitted((name,), 1.0, held_out=held_out, cost=cost, residuals=[[0.0], [np.sqrt(cost / 9.0)]])
 
     well, near, far = of("well", 1000.0, 0.9), of("near", 1070.0, 0.5), of("far", 1070.1, 0.1)
-    assert decide.best_of([well, near, far]) is near
-    assert decide.best_of([well, far]) is well
+    assert decide.best_of([well, near, far], RECORDED) is near
+    assert decide.best_of([well, far], RECORDED) is well
 
 
 def test_names_that_close_far_less_are_not_listed_beside_the_best():

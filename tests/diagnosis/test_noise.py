@@ -56,6 +56,22 @@ def test_whitened_coloured_noise_is_white():
     assert np.mean(z[..., 1:] ** 2) == pytest.approx(1.0, abs=0.08)
 
 
+def test_beside_large_errors_of_a_model_every_sample_counts_alike():
+    rng = np.random.default_rng(3)
+    observed = Observed.from_runs([repeated(rng, name=f"run{k}", offset=2.0) for k in range(4)])
+    slow, fast = (np.stack([np.cos(2 * np.pi * f * TIME), np.zeros(len(TIME))]) for f in (0.0, 450.0))
+
+    def weights(of):
+        return [np.sum(of.whiteners[0](x / np.linalg.norm(x)) ** 2) for x in (slow, fast)]
+
+    means = [run.mean for run in observed.runs]
+    assert observed.beside_errors(means) is observed
+    before = weights(observed)
+    assert before[0] < 0.1 * before[1]  # slow noise, and means that differ from run to run
+    after = weights(observed.beside_errors([m + 100.0 * np.sin(7.0 * TIME) for m in means]))
+    np.testing.assert_allclose(after, 1.0 / observed.noise["bench"].variance[0], rtol=0.05)
+
+
 def test_the_mean_of_a_run_has_a_variance_of_its_own():
     rng = np.random.default_rng(2)
     runs = [repeated(rng, name=f"run{k}", offset=2.0) for k in range(8)]

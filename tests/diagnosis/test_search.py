@@ -46,7 +46,7 @@ def test_a_needless_law_is_dropped():
     subject = heard(laws, {1: 1.0, 2: 1.0})
     by_id = {e.id: e for e in subject.effects}
     whole = fit_effects(subject, [by_id[name] for name in ("mixture", "first", "second")], [{}])
-    found = _pruned(whole, [], partial(without, subject))
+    found = _pruned(whole, [], partial(without, subject), subject.observed)
     assert found.effects == ("first", "second")
 
 
@@ -361,6 +361,6 @@ def test_an_effect_at_implausible_bounds_does_not_take_another_one_with_it():
     ("strained", "kind", "effects"), [({"one"}, "effect", ("other",)), ({"one", "other"}, "unknown", ())]
 )
 def test_an_answer_at_implausible_bounds_is_none_while_another_is_open(strained, kind, effects, monkeypatch):
-    monkeypatch.setattr("fmuid.diagnosis.decide.strained", lambda fitted, _: bool(strained & set(fitted.effects)))
+    monkeypatch.setattr("fmuid.diagnosis.decide.strained", lambda fitted, *_: bool(strained & set(fitted.effects)))
     answer = diagnose_subject(heard({"one": {1: 1.0}, "other": {1: 1.0, 2: 5e-4}}, {1: 1.0})).diagnosis
     assert (answer.verdict.kind, answer.verdict.effects) == (kind, effects)

@@ -76,9 +76,21 @@ def test_a_table_is_the_line_between_its_knots_and_constant_beyond():
     np.testing.assert_allclose(values @ courses, np.interp(at, knots, values), atol=1e-12)
 
 
-@pytest.mark.parametrize("repeats", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path, repeats):
-    answer, out = diagnosed(tmp_path, lambda value, wind: window(value), repeats=repeats)
+def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(tmp_path):
+    """Without repeats, a loss is named provisionally, and the table refines it."""
+    answer, out = diagnosed(tmp_path, lambda value, wind: window(value))
+    (found,) = answer["refinements"]
+    assert found["id"].endswith("@T.balance(temperature)")
+    assert answer["verdict"]["provisional"]
+    assert answer["best"]["closure"]["held_out"] > 0.7
+    assert answer["best"]["closure"]["interval"][0] > 0.0
+    assert answer["corrected_differs"] < 0.05
+    assert (out / "figures" / "tables.png").is_file()
+
+
+@pytest.mark.slow
+def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path):
+    answer, out = diagnosed(tmp_path, lambda value, wind: window(value), repeats=2)
     (learned,) = answer["refinements"]
     assert learned["learned"]
     assert learned["id"] == "learned_table@T.balance(temperature)"

@@ -96,6 +96,7 @@ def test_absolute_temperatures_may_be_30_kelvins_off() -> None:
     assert guessed_bounds(variable("T_room", 293.15, "K")) == pytest.approx((263.15, 323.15))
     assert guessed_bounds(variable("T_room", 20.0, "degC")) == pytest.approx((-10.0, 50.0))
     assert guessed_bounds(variable("T_room", 68.0, "degF")) == pytest.approx((14.0, 122.0))
+    assert guessed_bounds(variable("E_over_R", 6000.0, "K")) == pytest.approx((600.0, 60000.0))  # no temperature
     assert guessed_bounds(variable("dT", 5.0, "K")) == pytest.approx((0.5, 50.0))
     assert guessed_bounds(variable("x", -2.0, "m")) == pytest.approx((-20.0, 20.0))
 

@@ -172,6 +172,15 @@ def test_sensors_that_read_wrongly():
     assert disturbed_readings(y, ("a", "b"), {}, TIME, {}) is y
 
 
+def test_a_sensor_that_has_lost_the_sign():
+    y = np.stack([np.sin(20.0 * TIME), -TIME])
+    read = disturbed_readings(y, ("a", "b"), {"a": {"rectification": 1.0, "gain": 2.0}}, TIME, {})
+    np.testing.assert_allclose(read[0], 2.0 * np.abs(y[0]))
+    np.testing.assert_array_equal(read[1], y[1])
+    half = disturbed_readings(y, ("a", "b"), {"a": {"rectification": 0.5}}, TIME, {})
+    np.testing.assert_allclose(half[0], np.maximum(y[0], 0.0))
+
+
 def test_sensors_that_drift_or_read_others():
     y, u = np.stack([np.sin(TIME), np.cos(TIME)]), {"u": U}
     effects = {"a": {"drift": 0.2, "crosstalk[u]": 0.1, "crosstalk[b]": -0.3}}

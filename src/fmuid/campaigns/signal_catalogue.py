@@ -36,6 +36,10 @@ _WORDS = {
     ("output", "lag"): ("'{}' is read with a first-order lag", "Filter of the sensor"),
     ("output", "delay"): ("'{}' is read late", "Communication and sampling"),
     ("output", "saturation"): ("'{}' is read less and less as it grows", "Range of the sensor"),
+    ("output", "rectification"): (
+        "'{}' is read without its sign",
+        "Frequency counters, rectifiers, encoders of one channel",
+    ),
     ("output", "drift"): ("'{}' is read with a zero that drifts over a run", "Warming of the sensor"),
     ("output", "crosstalk"): (
         "'{}' is read with a share of other signals",
@@ -43,6 +47,7 @@ _WORDS = {
     ),
 }
 _HARD = 100.0  # a practically abrupt limit
+_ONE_SIGN = 0.05  # of its range: a signal that goes no further below zero never changes its sign
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
@@ -57,7 +62,8 @@ class RecordedSetup(NamedTuple):
 def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
     """Return the text of a catalogue with effects for every signal that is not always zero.
 
-    Trials are 2 and 10 % of scale, 1 and 5 % of the range, and one to twenty-five sample times.
+    Trials are 2 and 10 % of scale, 1 and 5 % of the range, and one to twenty-five sample times. Only a sensor that
+    never reads less than zero may have lost the sign.
 
     Raises
     ------
@@ -71,7 +77,9 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
     signals: dict[str, _Signal] = {}
     for name, s in (item for own in recorded for item in own.items()):
         same = signals.get(name, s)
-        signals[name] = s._replace(range=max(s.range, same.range), largest=max(s.largest, same.largest))
+        signals[name] = s._replace(
+            range=max(s.range, same.range), largest=max(s.largest, same.largest), least=min(s.least, same.least)
+        )
     ports, regimes, effects = [], [], []
     for s in signals.values():
         ports += [
@@ -103,7 +111,7 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
 
 
 class _Signal(NamedTuple):
-    """A signal, named as in the FMU if it is an input, with its range and largest absolute value in `unit`."""
+    """A signal, named as in the FMU if it is an input, with its range and extremes in `unit`."""
 
     name: str
     causality: str
@@ -111,6 +119,7 @@ class _Signal(NamedTuple):
     unit: str
     range: float
     largest: float
+    least: float
 
 
 def _signals(
@@ -126,7 +135,8 @@ def _signals(
         size = float(np.nanmax(values) - np.nanmin(values)) or largest
         own = variable.name if causality == "input" else name
         if size > 0.0:
-            found[own] = _Signal(own, causality, variable, unit or "1", size, largest)
+            least = float(np.nanmin(values))
+            found[own] = _Signal(own, causality, variable, unit or "1", size, largest, least)
     return found
 
 
@@ -148,6 +158,8 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
     if law == "crosstalk":
         shares = [(o.name, size / o.range, f"{s.unit}/({o.unit})") for o in others]
         return [_Size(f"crosstalk[{n}]", (0.05 * r,), (0.0, -r, r, 1e-3 * r), unit) for n, r, unit in shares]
+    if law == "rectification":
+        return [_Size(law, (1.0,), (0.0, 0.0, 1.0, 2e-3), "1")] if s.least > -_ONE_SIGN * s.range else []
     known = {
         "gain": [_Size(law, (1.02, 1.1), (1.0, 0.5, 2.0, 2e-3), "1")],
         "offset": [_Size(law, (0.01 * size, 0.05 * size), (0.0, -size, size, 1e-3 * size), s.unit)],

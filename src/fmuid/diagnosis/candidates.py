@@ -22,7 +22,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.spectrum import PiecewiseWhitener, Whitener
 from fmuid.data.noise.transform import from_real_spectrum
-from fmuid.diagnosis.cross_validation import HeldOut, leave_each_out, predicted_left_out
+from fmuid.diagnosis.cross_validation import CHORDS, HeldOut, leave_each_out, predicted_left_out
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap, project_off
 from fmuid.diagnosis.refit import Refit, about, descend, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
@@ -176,6 +176,9 @@ class Fitted:
         The same, beyond the errors that the other experiments leave in the parameters.
     left_out
         Parameters refitted without each fold, one mapping per fold.
+    log_prior
+        Logarithm of their prior weight: the best of n candidates, compared with the same measurements before a
+        model with them was built, pays ln n (Bonferroni).
     """
 
     effects: tuple[str, ...]
@@ -184,6 +187,7 @@ class Fitted:
     judged: HeldOut
     gap: float
     left_out: tuple[Mapping[str, float], ...] = ()
+    log_prior: float = 0.0
 
     @property
     def id(self) -> str:
@@ -198,6 +202,7 @@ def fit_effects(
     *,
     iterations: int = 12,
     tolerance: float = 1e-3,
+    chords: int = CHORDS,
 ) -> Fitted | None:
     """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
     unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
@@ -215,7 +220,7 @@ def fit_effects(
     except SimulationError:
         return None
     observed, model = subject.observed, subject.model
-    left_out = predicted_left_out(fit, observed, model)
+    left_out = predicted_left_out(fit, observed, model, chords)
     return Fitted(
         tuple(e.id for e in effects),
         fit,
@@ -223,6 +228,7 @@ def fit_effects(
         leave_each_out(fit, observed, within_errors=True, predictions=left_out.residuals),
         gap(fit.residuals, observed),
         left_out.values,
+        -sum(float(np.log(e.among)) for e in effects),
     )
 
 

@@ -207,9 +207,10 @@ def _contrasts(deviation: FloatArray, whiten: Callable[[FloatArray], FloatArray]
 
 _PRIOR_STEPS = 1e3  # a parameter that the remaining experiments cannot see moves by no more than about this
 _CONFIRMED = 1.1  # energy of a simulated residual, relative to the predicted one, up to which a linear step holds
-_CHORDS = 6  # steps of a refit without an experiment
+CHORDS = 6  # steps of a refit without an experiment
 _HALVINGS = 5  # of a step
 _SETTLED = 0.5  # fall of the cost, in squared standard deviations, that ends a refit
+_SHARE = 1e-3  # the same, as a share of the cost, as in refits with all experiments
 _ALIKE = 3e-7  # of columns that differ only by rounding; a ridge is lost beside large columns
 
 
@@ -278,7 +279,7 @@ def leave_each_out(
     return losses(predicted, observed, taken)
 
 
-def predicted_left_out(fit: Refit, observed: Observed, model: _Predicts) -> LeftOutFit:
+def predicted_left_out(fit: Refit, observed: Observed, model: _Predicts, chords: int = CHORDS) -> LeftOutFit:
     """Simulate each fold at parameters that are refitted to the other experiments.
 
     One linear step gives the parameters, within their bounds. Where the simulation does not confirm what the step
@@ -299,7 +300,7 @@ def predicted_left_out(fit: Refit, observed: Observed, model: _Predicts) -> Left
     for k, part in enumerate(found):
         group, (e, rows) = observed.groups[k], observed.folds[k]
         if part is None and group not in residuals:
-            points[group], residuals[group] = _refitted_without(steps, steps.out(k), observed, model)
+            points[group], residuals[group] = _refitted_without(steps, steps.out(k), observed, model, chords)
         if part is None:
             found[k] = residuals[group][e][rows]
     return LeftOutFit(
@@ -321,7 +322,7 @@ def _confirmed(simulated: FloatArray, linear: FloatArray) -> bool:
 
 
 def _refitted_without(
-    steps: _Steps, out: NDArray[np.bool_], observed: Observed, model: _Predicts
+    steps: _Steps, out: NDArray[np.bool_], observed: Observed, model: _Predicts, chords: int
 ) -> tuple[dict[str, float], tuple[FloatArray, ...]]:
     """Return the parameters refitted to the folds that are not `out`, and the residuals of every experiment."""
     inside = [k for k in range(len(out)) if not out[k]]
@@ -334,7 +335,7 @@ def _refitted_without(
         )
 
     here, step = list(steps.fit.residuals), np.zeros(steps.parts[0].shape[1])
-    for _ in range(_CHORDS):
+    for _ in range(chords):
         now = [here[e][rows] for e, rows in observed.folds]
         further = _solved(steps.others(out, now, step))
         lengths = [0.5**n for n in range(_HALVINGS)]
@@ -351,7 +352,7 @@ def _refitted_without(
             break
         gained = cost(here) - cost(better[1])
         step, here = step + better[0] * further, list(better[1])
-        if gained < _SETTLED:
+        if gained < max(_SETTLED, _SHARE * cost(here)):
             break
     return steps.moved(step), tuple(here)
 

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtr
 
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError, SimulationError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
 from fmuid.diagnosis.candidates import Fitted
-from fmuid.diagnosis.cross_validation import advantage, closure
+from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure
 from fmuid.diagnosis.free_functions import Decoy
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed
 from fmuid.diagnosis.refit import about
@@ -62,15 +62,15 @@ def separation(a: Fitted, b: Fitted, observed: Observed, *, without: int | None 
 
 
 def log_odds(a: Fitted, b: Fitted, observed: Observed) -> float:
-    """Return the logarithm of the posterior odds of `a` against `b`, equally likely beforehand.
+    """Return the logarithm of the posterior odds of `a` against `b`.
 
-    That is half the difference of their costs, plus ln(N) / 2 for each parameter that `b` has more (Schwarz 1978).
-    If `a` is true, the difference is D^2 on average. If it is less, neither may be true, and it counts for as much
-    less.
+    That is half the difference of their costs, plus ln(N) / 2 for each parameter that `b` has more (Schwarz
+    1978), plus their prior odds. If `a` is true, the difference is D^2 on average. If it is less, neither may be
+    true, and it counts for as much less.
     """
     difference, apart, wider = _compared(a, b, observed, None)
     evidence = difference / (2.0 * wider**2) * min(1.0, abs(difference) / apart**2) if apart else 0.0
-    return evidence + _price(b) - _price(a)
+    return evidence + _price(b) - _price(a) + a.log_prior - b.log_prior
 
 
 def log_evidence(nominal: Fitted, fitted: Fitted) -> float:
@@ -87,16 +87,32 @@ def _compared(a: Fitted, b: Fitted, observed: Observed, without: int | None) -> 
     """Return by how much the cost of `b` exceeds that of `a`, how far apart they are, and the `spread` of that.
 
     The part that even the better model leaves unexplained counts as noise too, but it is far from white: `_BLOCK`
-    of its samples count as one.
+    of its samples count as one, and the difference scatters at least as it does from experiment to experiment
+    (Vuong 1989).
     """
     ra, rb = (_stacked(f, observed, without) for f in (a, b))
     apart = float(np.linalg.norm(ra - rb))
     costs = float(ra @ ra), float(rb @ rb)
-    wider = spread(float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2)
+    left = float(np.mean(observed.repeats)) * min(a.gap, b.gap) ** 2
+    wider = spread(left)
     if observed.bounded and apart:  # the rest may be noise as well, and is unevenly distributed
         better = ra if costs[0] <= costs[1] else rb
-        wider *= float(np.sqrt(max(1.0, float((ra - rb) ** 2 @ better**2) / apart**2)))
+        wider = max(wider, float(np.sqrt(float((ra - rb) ** 2 @ better**2) / apart**2)))
+    if apart:
+        among = left / (1.0 + left) * _scatter(a, b, observed, without) / (2.0 * apart)
+        wider = max(wider, among)
     return costs[1] - costs[0], apart, wider
+
+
+def _scatter(a: Fitted, b: Fitted, observed: Observed, without: int | None) -> float:
+    """Return the standard error of the difference of two models' costs, from its differences among experiments."""
+    each: dict[int, float] = {}
+    for (e, rows), group in zip(observed.folds, observed.groups, strict=True):
+        if e != without:
+            costs = [float(f.fit.residuals[e][rows] @ f.fit.residuals[e][rows]) for f in (a, b)]
+            each[group] = each.get(group, 0.0) + float(observed.repeats[e]) * (costs[1] - costs[0])
+    n = len(each)
+    return float(np.sqrt(n) * np.std(list(each.values()), ddof=1)) if n > 1 else 0.0
 
 
 def spread(left: float) -> float:
@@ -111,10 +127,13 @@ def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatAr
     return stack([r * (e != without) for e, r in enumerate(fitted.fit.residuals)], observed)
 
 
-def best_of(candidates: Sequence[Fitted]) -> Fitted:
-    """Return the candidate with the least held-out loss among those that fit about equally well."""
-    least = about(min(c.fit.cost for c in candidates))
-    close = [c for c in candidates if c.fit.cost <= least]
+def best_of(candidates: Sequence[Fitted], observed: Observed) -> Fitted:
+    """Return the candidate with the least held-out loss among the likeliest ones, and those that fit as well."""
+    likeliest = min(candidates, key=lambda c: c.fit.cost)
+    for c in sorted(candidates, key=lambda c: c.fit.cost):
+        likeliest = c if log_odds(c, likeliest, observed) > 0.0 else likeliest
+    close = [c for c in candidates if c.fit.cost <= about(likeliest.fit.cost)]
+    close = [c for c in close if log_odds(likeliest, c, observed) < np.log(OPEN)]
     return min(close, key=lambda c: c.held_out.mean)
 
 
@@ -207,30 +226,48 @@ def worth_adding(before: Fitted, after: Fitted, least: float = GAIN_OF_A_SECOND)
     """Return whether another effect closes enough of the remaining gap, also on held-out experiments."""
     if closure(before, after) < least:
         return False
-    for worse, better in ((before.held_out, after.held_out), (before.judged, after.judged)):
+    for worse, better in _losses(before, after):
         gained, error = advantage(better, worse)
         if gained > error and closure(worse, better) > 0.0:
             return True
     return False
 
 
-def closed_by(nominal: Fitted, best: Fitted) -> float:
-    """Return the closure on held-out experiments that a model is named by.
+def _losses(before: Fitted, after: Fitted) -> list[tuple[HeldOut, HeldOut]]:
+    """Return the losses of two models on held-out experiments, also beyond the errors of their parameters.
 
-    If the others leave its parameters uncertain, what they predict is no evidence against it within these errors.
+    If the other experiments leave parameters uncertain, what a model predicts is no evidence against it within
+    their errors; but it is if the effects at least double the gap of what they predict.
     """
-    return max(closure(nominal.held_out, best.held_out), closure(nominal.judged, best.judged))
+    found = [(before.held_out, after.held_out)]
+    refuted = closure(before.held_out, after.held_out) <= -1.0
+    return found if refuted else [*found, (before.judged, after.judged)]
 
 
-def names(nominal: Fitted, best: Fitted, *, finished: bool) -> bool:
+def closed_by(nominal: Fitted, best: Fitted) -> float:
+    """Return the closure on held-out experiments that a model is named by (see `_losses`)."""
+    return max(closure(worse, better) for worse, better in _losses(nominal, best))
+
+
+def validated(nominal: Fitted, best: Fitted) -> float:
+    """Return the closure on held-out experiments, no more than that where the models are fitted.
+
+    Beyond that, the nominal model is merely predicted badly.
+    """
+    return min(closed_by(nominal, best), closure(nominal, best))
+
+
+def names(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool = False) -> bool:
     """Return whether `best` closes enough of the gap for its effects to be named.
 
     A weak gap is largely chance, and if only one experiment shows it, little can be learnt without that
-    experiment. It then suffices that the effects complete the model, unless *unknown* is more likely.
+    experiment. It then suffices that the effects complete the model, unless *unknown* is more likely. If the
+    noise is only `bounded`, the effects must also close as much where the models are fitted.
     """
     closed = closed_by(nominal, best)
     likely = closed * len(best.effects) >= _doubt(closed)
-    return closed >= CLOSURE_THAT_NAMES or (
+    enough = validated(nominal, best) if bounded else closed
+    return enough >= CLOSURE_THAT_NAMES or (
         likely and finished and closure(nominal, best) >= CLOSURE_THAT_FINISHES
     )
 
@@ -244,7 +281,7 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool
     closed = closure(nominal.held_out, best.held_out)
     if not bounded:
         closed = min(closed, closure(nominal, best))
-    return closed >= CLOSURE_BEYOND_DOUBT or (finished and names(nominal, best, finished=True))
+    return closed >= CLOSURE_BEYOND_DOUBT or (finished and names(nominal, best, finished=True, bounded=bounded))
 
 
 def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
@@ -301,7 +338,8 @@ def weigh(
     sixth for effects, as found in single runs of rigs other than actuators. If no gap was `seen`, there may still
     be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open.
     """
-    closed = float(np.clip(closed_by(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
+    closing = validated if provisional else closed_by
+    closed = float(np.clip(closing(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
     match kind:
         case "complete":
             none, unknown, named = 1.0, _NEVER, _HIDDEN * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
@@ -343,7 +381,7 @@ def _of_rivals(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: 
 def closes_something(nominal: Fitted, fitted: Fitted, closed: Closure) -> bool:
     """Return whether a model closes a share of the gap on left-out data beyond chance."""
     gained, error = advantage(fitted.held_out, nominal.held_out)
-    return closed.held_out > 0.0 and (closed.interval[0] > 0.0 or gained > _INTERVAL * error)
+    return closed.validated > 0.0 and (closed.interval[0] > 0.0 or gained > _INTERVAL * error)
 
 
 def _doubt(closed: float) -> float:
@@ -446,4 +484,4 @@ def _below(values: Sequence[float], most: float) -> float:
     """Return the probability that the mean behind a few values is at most `most`."""
     error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
     apart = most - float(np.mean(values))
-    return float(t.cdf(apart / error, float(len(values) - 1))) if error > 0.0 else float(apart >= 0.0)
+    return float(stdtr(float(len(values) - 1), apart / error)) if error > 0.0 else float(apart >= 0.0)

@@ -33,7 +33,7 @@ from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own_bases, responses_of, trajectories
 from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excess, excesses, gap
 from fmuid.diagnosis.scores import Score, hidden, nominal_basis, smallest_seen
 from fmuid.diagnosis.subject import Subject, tightened, with_states
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
@@ -199,14 +199,11 @@ def diagnose_subject(
         observed = with_states(observed, model, nominal.fit.values)
         subject = replace(subject, observed=observed)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
-    subject, nominal = _settled(subject, nominal)
-    subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
-    for _ in range(_RESTARTS if found.evidence.present else 0):
-        better = better_nominal(subject, found.nominal, found.candidates)
-        if better is None:
-            break
-        subject, nominal = _settled(subject, better)
-        subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
+    subject, found = _search_settled(subject, nominal, say, seed=seed)
+    if found.evidence.present and not _holds(found, observed):
+        say("searching again, with weights for a model that has errors of its own", 0.4)
+        subject, found = _beside_errors(subject, found, say, seed=seed)
+    observed = subject.observed
     model = subject.model
     nominal, scores, evidence, paths = found.nominal, found.scores, found.evidence, found.paths
     if found.best is not None and evidence.present:
@@ -321,6 +318,47 @@ def _onward(say: Say) -> Say:
     return tell
 
 
+def _search_settled(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
+    """Search for effects from a nominal model, again from any better optimum of it that the search finds."""
+    subject, nominal = _settled(subject, nominal)
+    subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
+    for _ in range(_RESTARTS if found.evidence.present else 0):
+        better = better_nominal(subject, found.nominal, found.candidates)
+        if better is None:
+            break
+        subject, nominal = _settled(subject, better)
+        subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
+    return subject, found
+
+
+def _holds(found: _Searched, observed: Observed) -> bool:
+    """Return whether the best explanation of a search holds beyond doubt on left-out experiments."""
+    best = found.best
+    return best is not None and decide.beyond_doubt(
+        found.nominal, best, finished=best.gap <= GAP_THAT_MATTERS, bounded=observed.bounded
+    )
+
+
+def _beside_errors(subject: Subject, found: _Searched, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
+    """Search again, with the errors of the nominal model added to the noise; return the better of both searches.
+
+    Weights by the noise suit a model that is complete. Where a model's own errors are far larger, whatever these
+    weights stress, such as high frequencies, decides between effects, and the fit is poor in the signals' units.
+    """
+    observed = subject.observed.beside_errors(_prediction(subject, found.nominal.fit.values))
+    if observed is subject.observed:
+        return subject, found
+    again = replace(subject, observed=with_states(observed, subject.model, found.nominal.fit.values))
+    again, second = _search_settled(again, refitted(again, found.nominal), say, seed=seed)
+    closed = [0.0 if one.best is None else _validated(one.nominal, one.best) for one in (found, second)]
+    return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, found)
+
+
+def _validated(nominal: Fitted, fitted: Fitted) -> float:
+    """Return the closure on held-out experiments, no more than that where the models are fitted."""
+    return min(closure(nominal.held_out, fitted.held_out), closure(nominal, fitted))
+
+
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
     """Refit the nominal parameters until the solver's errors stay below the noise there, also with an effect."""
     for _ in range(_RESTARTS):
@@ -366,7 +404,9 @@ def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:
             refined[k] = refitted(subject, fitted, tolerance=_TO_THE_END)
     subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
     candidates = [refined.get(k, fitted) for k, fitted in enumerate(found.candidates)]
-    return subject, replace(found, candidates=candidates, best=decide.best_of([*refined.values()]))
+    return subject, replace(
+        found, candidates=candidates, best=decide.best_of([*refined.values()], subject.observed)
+    )
 
 
 def _failed(scores: Sequence[Score]) -> Iterator[str]:
@@ -420,7 +460,7 @@ def _explaining(found: _Searched, closing: Closing) -> Fitted | None:
     explaining = [
         c for c in found.candidates if c.effects and decide.closes_something(found.nominal, c, closing(c))
     ]
-    return min(explaining, key=lambda c: c.held_out.mean, default=None)
+    return max(explaining, key=lambda c: closing(c).validated, default=None)
 
 
 def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:
@@ -467,7 +507,9 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
     at = {e.id: e.port for e in subject.effects}
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.effects))
     own = [at[n] for n in best.effects] if best is not None else []
-    named_at_all = best is not None and plausible and decide.names(nominal, best, finished=done)
+    named_at_all = (
+        best is not None and plausible and decide.names(nominal, best, finished=done, bounded=observed.bounded)
+    )
     sure = (
         best is not None
         and named_at_all
@@ -532,7 +574,7 @@ def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], 
     if not kept and (
         fewer := plausible(c for c in candidates if c.effects and set(c.effects) < set(best.effects))
     ):
-        kept = plausible(decide.survivors(decide.best_of(fewer), candidates, subject.observed))
+        kept = plausible(decide.survivors(decide.best_of(fewer, subject.observed), candidates, subject.observed))
     return kept or surviving, bool(kept)
 
 

@@ -22,7 +22,7 @@ from fmuid.diagnosis.candidates import (
     without,
 )
 from fmuid.diagnosis.cross_validation import NoiseDraws
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, project_off
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excess, project_off
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import SEEN, Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
@@ -82,10 +82,10 @@ def search(
     candidates = _added(subject, nominal, singles, early, say=tell)
     if not candidates:
         return [], None
-    best = decide.best_of(candidates)
+    best = decide.best_of(candidates, subject.observed)
     if present:  # the same law at another port may have ended in a local minimum
         candidates += _moved(subject, best, candidates, scores)
-        best = decide.best_of(candidates)
+        best = decide.best_of(candidates, subject.observed)
     signatures = _signatures(subject, nominal, candidates, scores)[0]
     without_one = cache(partial(without, subject))
     while present and len(best.effects) < _MOST and best.gap > GAP_THAT_MATTERS:
@@ -98,12 +98,12 @@ def search(
             for c in _company(subject, best, scores, noise)
             if not (shape and _same_place(subject, c, signatures))
         ]
-        better = decide.best_of(company) if company else None
+        better = decide.best_of(company, subject.observed) if company else None
         if better is None or not decide.worth_adding(best, better, _GAIN):
             break
         candidates += company
         best = _exchanged(subject, better, candidates, scores, without_one)
-    return candidates, _pruned(best, candidates, without_one)
+    return candidates, _pruned(best, candidates, without_one, subject.observed)
 
 
 def aliases(
@@ -264,7 +264,7 @@ def _exchanged(
         for rest, name in fresh:
             explored.add(rest)
             candidates += _replaced(subject, without_one(best, name), candidates, scores)
-        best = decide.best_of([c for c in candidates if len(c.effects) == len(best.effects)])
+        best = decide.best_of([c for c in candidates if len(c.effects) == len(best.effects)], subject.observed)
 
 
 def _moved(
@@ -316,7 +316,7 @@ def _replaced(
     return _added(subject, rest, [s for s in others if frozenset((*rest.effects, s.effect)) not in tried])
 
 
-def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitted:
+def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest, observed: Observed) -> Fitted:
     """Leave out of `best`, one by one, the effects that are not worth adding to the others.
 
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
@@ -328,6 +328,6 @@ def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitte
         ]
         if not enough:
             break
-        best = decide.best_of(enough)
+        best = decide.best_of(enough, observed)
         candidates.append(best)
     return best

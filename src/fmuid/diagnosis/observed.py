@@ -92,6 +92,28 @@ class Observed:
             tuple(self.nuisances[k] for k in kept if self.nuisances),
         )
 
+    def beside_errors(self, predictions: Sequence[FloatArray]) -> Observed:
+        """Return the measurements with the errors of `predictions` added to their noise, in the same floors.
+
+        The mean of a run does not count among the errors: sensors shift from run to run. The measurements are
+        the same if the noise of each signal is larger than the errors.
+        """
+        noise = dict(self.noise)
+        for setup, plain in self.noise.items():
+            own = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
+            counts = np.sum([r.mask.sum(axis=1) for _, r in own], axis=0)
+            error = np.zeros(len(plain.channels))
+            for prediction, run in own:
+                left = (prediction - run.mean) * run.mask
+                mean = left.sum(axis=1) / np.maximum(run.mask.sum(axis=1), 1.0)
+                beyond = np.sum(((left - mean[:, None]) * run.mask) ** 2, axis=1)
+                beyond -= run.mask.sum(axis=1) * plain.of_mean(run.n_repeats) ** 2
+                error += run.n_repeats * beyond / np.maximum(counts, 1.0)
+            if np.any(error > plain.variance):
+                noise[setup] = plain.beside(np.maximum(error, 0.0))
+        same = all(noise[s] is self.noise[s] for s in noise)
+        return self if same else Observed(self.runs, noise, self.predicted)
+
     @cached_property
     def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:
         """Whitener of each experiment's residual."""

@@ -328,7 +328,8 @@ class _Campaign:
         """Add the missing columns, from one step away or from `wide` steps to either side."""
         base = self.parts(x)
         left = [k for k in range(len(x)) if k not in columns]
-        away = np.diag(np.where(x + self.steps > self.upper, -self.steps, self.steps))[left]
+        up = self.upper - x >= np.minimum(self.steps, x - self.lower)  # a range may be narrower than a step
+        away = np.diag(np.where(up, self.steps, -self.steps))[left]
         if wide:
             points = [self.clipped(x + sign * wide * step) for sign in (1.0, -1.0) for step in away]
             found = list(zip(points, self._simulated(points), strict=True))

@@ -171,6 +171,11 @@ class Closure:
     interval: tuple[float, float]
     physical: Mapping[str, PhysicalGap] = field(default_factory=dict)
 
+    @property
+    def validated(self) -> float:
+        """The closure that held-out experiments support: beyond `train`, only the nominal model predicts badly."""
+        return min(self.train, self.held_out)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {**asdict(self), "interval": list(self.interval)}

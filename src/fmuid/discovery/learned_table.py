@@ -44,6 +44,7 @@ _KNOTS_OF_TWO = ((3, 3), (5, 3), (3, 5), (5, 5))  # of a table over two: no more
 _PLACES = 2  # places examined: those where a course over time is likeliest
 _PAIRED = 3  # variables at a place from which pairs are made: those that predict best alone
 _BUILT = 4  # tables that are built into the model: those that predict best as driven inputs
+_STEPS = 1  # of refits without an experiment, after the linear one: tables are linear in their values
 _INTERVAL = 1.645  # standard errors: 90 %
 
 
@@ -276,7 +277,7 @@ class _Search:
         subject = tightened(subject, starts)
         built = []
         for law, effect, start, (p, _) in zip(laws, effects, starts, proposed, strict=True):
-            fitted = fit_effects(subject, [*beside, effect], [start, begin])
+            fitted = fit_effects(subject, [*beside, effect], [start, begin], chords=_STEPS)
             if fitted is not None:
                 built.append(_Built(law, p.over, p.knots, effect, subject, fitted))
         return built

@@ -22,7 +22,7 @@ CERTAIN = (CONSTANT, REGULARISATION, DEFAULT)
 
 _WITHIN = 10.0  # factor by which parameters may differ from their start values
 _KELVINS = 30.0  # by which absolute temperatures may differ from theirs
-_COLD = 150.0  # K: smaller values are differences of temperature
+_COLD, _HOT = 150.0, 2000.0  # K: others are differences of temperature, or activation energies over R
 _MANY = 6  # numbered values of one name from which they are a table
 # Values and units; models round them, so the last number is the relative tolerance.
 _CONSTANTS = (
@@ -129,7 +129,7 @@ def is_temperature(parameter: Variable) -> bool:
     unit = parameter.unit
     if not unit or not convertible(unit, "K"):
         return False
-    return unit != "K" or (parameter.start or 0.0) >= _COLD
+    return unit != "K" or _COLD <= (parameter.start or 0.0) <= _HOT
 
 
 def guessed_bounds(parameter: Variable, within: float = _WITHIN) -> tuple[float, float]:

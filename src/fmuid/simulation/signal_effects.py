@@ -3,7 +3,8 @@
 A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
 ``delay`` (s), ``drift`` (per second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
 value in the signal's unit; 0 for none), ``compression`` (the reciprocal of that value; ``hardness`` determines how
-abruptly it is reached), and ``crosstalk[<other>]`` (that share of another signal).
+abruptly it is reached), ``rectification`` (share of its magnitude; 1: the sign is lost), and
+``crosstalk[<other>]`` (that share of another signal).
 
 Before its first sample, a signal is assumed constant at that sample's value. This holds for delays and lags of
 inputs and outputs.
@@ -29,7 +30,7 @@ from fmuid.simulation.simulator import Task, Variable
 
 NEUTRAL = {
     "offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0, "drift": 0.0, "dead_zone": 0.0,
-    "compression": 0.0, "hardness": 4.0,
+    "compression": 0.0, "hardness": 4.0, "rectification": 0.0,
 }  # fmt: skip
 _CROSSTALK = re.compile(r"(?P<signal>.+)\.(?P<property>crosstalk\[(?P<other>.+)\])")
 _APART = 1e-6  # share of the shortest step: points closer to each other are merged
@@ -264,7 +265,7 @@ def disturbed_readings(
     time: FloatArray,
     inputs: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """Apply saturation, drift, crosstalk, scale and offset errors of sensors to (C, N) readings `y`."""
+    """Apply saturation, drift, crosstalk, scale, sign and offset errors of sensors to (C, N) readings `y`."""
     if not any(name in effects for name in names):
         return y
     out = np.array(y)
@@ -285,6 +286,8 @@ def _added(time: FloatArray, effect: Mapping[str, float], others: Mapping[str, F
 
 def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
     limit, width, steep = (effect.get(p, 0.0) for p in ("saturation", "dead_zone", "compression"))
+    if share := effect.get("rectification", 0.0):
+        y = (1.0 - share) * y + share * np.abs(y)
     if width > 0.0:
         y = y - np.clip(y, -width, width)
     if steep > 0.0:

@@ -12,7 +12,7 @@ A standard deviation given by the user replaces the measured one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,21 @@ class SetupNoise:
     def of_mean(self, count: int) -> FloatArray:
         """Return (C,) standard deviations of the mean of `count` samples."""
         return np.asarray(np.sqrt(self.variance / count + self.repeating))
+
+    def beside(self, error: FloatArray) -> SetupNoise:
+        """Return the noise of a setup where a model has errors of its own, in the same floors.
+
+        The spectrum becomes that of the noise plus white errors of (C,) variance `error`, scaled so that a sample
+        keeps its noise floor. Where errors are far larger than the noise, every sample counts alike: the spectrum
+        of the noise says nothing about them.
+        """
+        error = np.where(self.variance > 0.0, error, 0.0)
+        scale = np.sqrt(self.variance / np.maximum(self.variance + error, np.finfo(float).tiny))
+        return replace(
+            self,
+            covariance=scale[:, None] * (self.covariance + np.diag(error)) * scale,
+            mean_variance=scale**2 * self.mean_variance,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
