@@ -11,20 +11,9 @@ import pytest
 
 import fmuid
 from fmuid.discovery.terms import Quantity, table
+from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
-ROOM = """
-model Room "A heated room"
-  parameter Real C(unit = "J/K") = 2e4 "Air and walls";
-  parameter Real G(unit = "W/K") = 20 "Room to outdoors";
-  input Real P(unit = "W") "Heater";
-  input Real T_out(unit = "K") "Outdoor air";
-  output Real T(unit = "K", start = 293, fixed = true) "Room";
-equation
-  C*der(T) = P - G*(T - T_out);
-end Room;
-"""
-STEP, SAMPLES = 20.0, 240
 
 
 @pytest.fixture(scope="module", autouse=True)

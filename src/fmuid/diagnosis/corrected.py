@@ -581,7 +581,7 @@ def _of_corrected(
 
 
 def _of_others(values: Mapping[str, float], model: CampaignModel) -> tuple[str, ...]:
-    """Return notes on the parameters per machine or run that have no value in the diagnosis."""
+    """Return notes on parameters of a machine or a run for which the diagnosis has no value."""
     names = dict.fromkeys(without_owner(n) for n in values if SEPARATOR in n)
     unseen = {
         name: dict.fromkeys(c.id for c in model.cases if name in c.setting and name not in c.values(values))

@@ -123,18 +123,23 @@ def spread(left: float) -> float:
     return float(np.sqrt(1.0 + _BLOCK * left))
 
 
+def _apart(a: Fitted, b: Fitted, observed: Observed) -> float:
+    """Return how far apart the predictions of two models are, in standard deviations."""
+    return float(np.linalg.norm(_stacked(a, observed, None) - _stacked(b, observed, None)))
+
+
 def _stacked(fitted: Fitted, observed: Observed, without: int | None) -> FloatArray:
     return stack([r * (e != without) for e, r in enumerate(fitted.fit.residuals)], observed)
 
 
 def best_of(candidates: Sequence[Fitted], observed: Observed) -> Fitted:
     """Return the candidate with the least held-out loss among the likeliest ones, and those that fit as well."""
-    likeliest = min(candidates, key=lambda c: c.fit.cost)
-    for c in sorted(candidates, key=lambda c: c.fit.cost):
+    likeliest, *others = sorted(candidates, key=lambda c: c.fit.cost)
+    for c in others:
         likeliest = c if log_odds(c, likeliest, observed) > 0.0 else likeliest
     close = [c for c in candidates if c.fit.cost <= about(likeliest.fit.cost)]
-    close = [c for c in close if log_odds(likeliest, c, observed) < np.log(OPEN)]
-    return min(close, key=lambda c: c.held_out.mean)
+    open_ = (c for c in close if log_odds(likeliest, c, observed) < np.log(OPEN))
+    return min(open_, key=lambda c: c.held_out.mean)
 
 
 def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) -> tuple[Fitted, ...]:
@@ -170,10 +175,10 @@ def merge_equivalent(
     def alike(a: Fitted, b: Fitted) -> bool:
         if len(a.effects) != len(b.effects) or set(a.effects) == set(b.effects):
             return False
-        _, apart, _ = _compared(a, b, observed, None)
+        apart = _apart(a, b, observed)
         if apart > _EQUAL:
             return False
-        _, moved, _ = _compared(nominal, a, observed, None)
+        moved = _apart(nominal, a, observed)
         here, others = (sorted((effects[name] for name in x.effects), key=_component) for x in (a, b))
         return apart <= _IDENTICAL * moved or all(map(_at_one_place, here, others))
 

@@ -90,11 +90,10 @@ def find_law(
     effect = verdict.kind == "effect"
     if verdict.kind not in ("unknown", "partial") and not (effect and verdict.rest is not None):
         return None
-    setups = {case.setup for case in subject.model.cases}
-    flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
-    if set(flats) != setups:
+    flats = flat_models(subject, models)
+    if flats is None:
         return _none("the campaign names no Modelica source of its model, so no law can be added to it")
-    noise = _noise(subject, found.nominal, seed)
+    noise = noise_draws(subject, found.nominal, seed)
     named = () if verdict.kind == "unknown" else found.surviving[:1]
     if named and not found.entered:  # the verdict did not need it
         found = replace(found, entered=where_it_enters(subject, named[0]))
@@ -114,7 +113,15 @@ def find_law(
     return _none("; ".join(reasons))
 
 
-def _noise(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
+def flat_models(subject: Subject, models: Mapping[str, ModelSpec]) -> dict[str, FlatModel] | None:
+    """Return the flat model of every setup; None if one has no Modelica source."""
+    setups = {case.setup for case in subject.model.cases}
+    found = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
+    return found if set(found) == setups else None
+
+
+def noise_draws(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
+    """Draw residuals that noise alone would leave, around the predictions of a model."""
     (predicted,) = subject.model.predict([fitted.fit.values])
     return draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
 
@@ -220,7 +227,7 @@ class _Search:
         part, again = refitted_early(self.found.subject, self.base)
         if again is None:
             return []
-        noise, flat = _noise(part, again, self.seed), next(iter(self.flats.values()))
+        noise, flat = noise_draws(part, again, self.seed), next(iter(self.flats.values()))
         own = [spot(s.port.name, flat, part.model, again.fit.values) for s in spots]
         chosen = [c for s in own if s is not None for c in choose(part, again.fit, s, noise)]
         return self._refitted(None, _likeliest(chosen))

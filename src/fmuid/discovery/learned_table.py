@@ -16,19 +16,19 @@ import numpy as np
 from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
 from fmuid.core.campaign import ModelSpec
-from fmuid.core.errors import ProblemError, SimulationError
+from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
-from fmuid.diagnosis.cross_validation import Null, advantage, closure, closure_interval, draw_noise
+from fmuid.diagnosis.cross_validation import Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement
-from fmuid.discovery.find_law import LEFT, pruned
+from fmuid.discovery.find_law import LEFT, flat_models, noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
 from fmuid.discovery.places import Spot, spot
 from fmuid.discovery.selection import DRIVEN, Chosen
@@ -36,7 +36,6 @@ from fmuid.discovery.terms import Quantity, Term, names_in, table
 from fmuid.effects.effect import Effect
 from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import LOGGED
-from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 _KNOTS = (3, 5, 9, 17)  # of a table over one variable; each set halves the distances of the one before
@@ -97,15 +96,10 @@ def tabulate(
     finished = verdict.kind == "complete" or (bool(found.surviving) and verdict.rest is None)
     if finished or not found.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
         return None
-    setups = {case.setup for case in subject.model.cases}
-    flats = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
-    if set(flats) != setups:
+    flats = flat_models(subject, models)
+    if flats is None:
         return None
-    (prediction,) = subject.model.predict([found.nominal.fit.values])
-    noise = draw_noise(
-        subject.observed, None if isinstance(prediction, SimulationError) else prediction, seed=seed
-    )
-    null = noise.null(nominal_basis(found.nominal.fit, subject.observed), ())
+    null = noise_draws(subject, found.nominal, seed).null(nominal_basis(found.nominal.fit, subject.observed), ())
     alone, *beside = (
         _Search(found, base, models, load, next(iter(flats.values())), null) for base in (found.nominal, *named)
     )
