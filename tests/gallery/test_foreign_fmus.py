@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.foreign.plants import Gap, plant_fmu, write_logs
 from fmuid import diagnose
 from fmuid.cli.app import run
 from fmuid.simulation.fmu import load_fmu
-from tests.gallery.plants import plant_fmu, write_logs
 from tests.reference.plain_fmpy import simulate_fmu
 
 RIGS = {
-    "DRIVE": (3, lambda x: np.array([0, 0, 0, -0.05 * x[3] * abs(x[3])]), "quadratic@der(w2)"),
-    "HOUSE": (2, lambda x: np.array([-1.0e-4 * (x[0] - 293), 0]), "loss@der(T_room)"),
-    "CIRCUIT": (2, lambda x: np.array([-60 * np.tanh(x[0] / 0.02), 0]), "voltage_drop@der(i)"),
-    "TANK": (3, lambda x: np.array([0, -6e-3 * x[1]]), "leakage@der(h2)"),
+    "DRIVE": (3, lambda x, z: np.array([0, 0, 0, -0.05 * x[3] * abs(x[3])]), "quadratic@der(w2)"),
+    "HOUSE": (2, lambda x, z: np.array([-1.0e-4 * (x[0] - 293), 0]), "loss@der(T_room)"),
+    "CIRCUIT": (2, lambda x, z: np.array([-60 * np.tanh(x[0] / 0.02), 0]), "voltage_drop@der(i)"),
+    "TANK": (3, lambda x, z: np.array([0, -6e-3 * x[1]]), "leakage@der(h2)"),
 }
 
 
@@ -30,7 +30,7 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def campaign_of(name: str, folder: Path, **sizes: int) -> Path:
     fmi, lacking, _ = RIGS[name]
     fmu = plant_fmu(name, folder, fmi)
-    logs = write_logs(name, lacking, folder / "logs", **sizes)
+    logs = write_logs(name, Gap(lacking), folder / "logs", **sizes)
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(folder / "campaign"), "--quiet"]) == 0
     return folder / "campaign"
 

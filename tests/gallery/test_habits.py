@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.foreign.plants import Gap, plant_fmu, write_logs
 from fmuid.cli.app import run
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
-from tests.gallery.plants import plant_fmu, write_logs
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 TEXT = '<ScalarVariable name="file" valueReference="99" causality="parameter" variability="fixed"><String start="a.csv"/></ScalarVariable>'  # fmt: skip
@@ -80,7 +80,7 @@ def test_a_tool_that_an_fmu_needs_is_reported(tmp_path, capfd):
     message = "needs Plant Works to be installed (needsExecutionTool)"
     _, notes = simulated(fmu)
     assert notes == [f"{fmu.name} {message}"]
-    logs = write_logs("CIRCUIT", np.zeros_like, tmp_path / "logs", runs=1, repeats=1, samples=60)
+    logs = write_logs("CIRCUIT", Gap(), tmp_path / "logs", runs=1, repeats=1, samples=60)
     assert run(["init", str(logs[0]), "--fmu", str(fmu), "--out", str(tmp_path / "campaign")]) == 0
     assert message in capfd.readouterr().out
     assert run(["check", str(tmp_path / "campaign"), "--no-simulate"]) == 0
@@ -91,10 +91,10 @@ def test_states_and_outputs_may_be_arrays(tmp_path):
     """A rod of three parts with one array of temperatures, whose last part radiates, which its model lacks."""
     fmu = plant_fmu("ROD", tmp_path, 3)
 
-    def lacking(x: np.ndarray) -> np.ndarray:
+    def lacking(x: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.array([0, 0, -4e-11 * (x[2] ** 4 - 293.0**4)])
 
-    logs = write_logs("ROD", lacking, tmp_path / "logs", runs=3, samples=150)
+    logs = write_logs("ROD", Gap(lacking), tmp_path / "logs", runs=3, samples=150)
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
     assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
@@ -113,7 +113,9 @@ def test_runs_may_begin_at_any_time(tmp_path):
     assert found.columns["h2"] == pytest.approx(whole.columns["h2"], rel=1e-5)
     tables = {}
     for shift in (0.0, 5000.0):
-        logs = write_logs("TANK", lambda x: np.array([0, -6e-3 * x[1]]), tmp_path / f"logs{shift:g}", samples=150)
+        logs = write_logs(
+            "TANK", Gap(lambda x, z: np.array([0, -6e-3 * x[1]])), tmp_path / f"logs{shift:g}", samples=150
+        )
         for log in logs:
             table = read_csv(log)
             write_csv(Table(table.time + shift, table.columns, table.units), log)

@@ -29,7 +29,7 @@ from fmuid.core.files import make_folder, remove_unused, user_cache
 from fmuid.core.immutable import FloatArray
 from fmuid.effects.effect import Catalogue, Effect
 from fmuid.simulation.fmu import Fmu, load_fmu
-from fmuid.simulation.fmu_with_laws import StateLaw, write_fmu_with_laws
+from fmuid.simulation.fmu_with_laws import StateLaw, carrier_version, write_fmu_with_laws
 from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
@@ -421,7 +421,7 @@ def with_laws(fmu: Fmu, catalogue: Catalogue, effects: Collection[Effect] | None
     laws += [StateLaw(s, port.input, where=f"[ports.{port.name!r}] input") for port, s in inputs if port.input]
     added += [Added(port.input, 0.0, port.unit, port.description, input=True) for port, _ in inputs if port.input]
     content = hashlib.sha256(fmu.path.read_bytes()).hexdigest()
-    digest = hashlib.sha256(repr((content, laws, added)).encode()).hexdigest()
+    digest = hashlib.sha256(repr((content, laws, added, carrier_version())).encode()).hexdigest()
     folder = user_cache() / "models" / content[:16]
     plain, carrier = folder / fmu.path.name, folder / f"{fmu.path.stem}-{digest[:12]}.fmu"
     make_folder(folder)

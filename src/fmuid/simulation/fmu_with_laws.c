@@ -52,7 +52,7 @@ typedef struct {
     Scalar *scalar;
     Group *input_group;
     size_t n_scalars, n_own_inputs, n_law_inputs;
-    double *inputs, *slope, *default_parameter, time[2], tolerance;
+    double *inputs, *slope, *default_parameter, *default_input, time[2], tolerance;
     int32_t *column;
     int initialised, stepped, terminated;
 } Me;
@@ -141,7 +141,7 @@ static int read_all(Me *me, FILE *file)
     char text[LONGEST], path[2 * LONGEST];
     int fmi, completed;
     size_t n_states, n_indicators;
-    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "1") || !read_line(file, "library", text) ||
+    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "2") || !read_line(file, "library", text) ||
         !read_line(file, "name", me->name) || !read_line(file, "token", me->token))
         return 0;
     snprintf(path, sizeof path, "%s/contained/%s", me->resources, text);
@@ -178,9 +178,12 @@ static int read_all(Me *me, FILE *file)
     }
     if (!read_laws(&me->run.laws, file, n_states)) return 0;
     me->default_parameter = calloc(me->run.laws.n_parameters + 1, sizeof(double));
-    if (!me->default_parameter) return 0;
+    me->default_input = calloc(me->n_own_inputs + 1, sizeof(double));
+    if (!me->default_parameter || !me->default_input) return 0;
     for (size_t i = 0; i < me->run.laws.n_parameters; i++)
         if (!read_double(file, me->default_parameter + i)) return 0;
+    for (size_t i = 0; i < me->n_own_inputs; i++)
+        if (!read_double(file, me->default_input + i)) return 0;
     size_t n = n_states + me->run.laws.n_inner;
     plan->work = calloc(15 * n + 2 * n * n + 2 * n_indicators + plan->n_inputs + 1, sizeof(double));
     plan->pivots = calloc(n + 1, sizeof(int32_t));
@@ -290,8 +293,7 @@ static int begin(Me *me)
     memset(me->inputs, 0, 2 * me->run.plan.n_inputs * sizeof(double));
     memset(me->slope, 0, me->run.plan.n_inputs * sizeof(double));
     me->initialised = me->stepped = me->terminated = 0;
-    for (size_t i = 0; i < me->n_scalars; i++)
-        if (me->scalar[i].input >= 0 && get(me, (unsigned)i, me->inputs + me->scalar[i].input) != OK) return ERROR;
+    memcpy(me->inputs, me->default_input, me->n_own_inputs * sizeof(double)); /* many FMUs are not read before their initialisation */
     snprintf(path, sizeof path, "%s/start_values.txt", me->resources);
     FILE *file = fopen(path, "r");
     if (!file) return OK;
@@ -315,7 +317,7 @@ API void fmi2FreeInstance(void *c)
     for (size_t i = 0; me->scalar && i < me->n_scalars; i++) free(me->scalar[i].set.buffer);
     free_laws(&me->run.laws);
     free(me->run.plan.work), free(me->run.plan.pivots), free(me->scalar), free(me->input_group), free(me->inputs);
-    free(me->slope), free(me->column), free(me->default_parameter), free(me->label), free(me->resources), free(me);
+    free(me->slope), free(me->column), free(me->default_parameter), free(me->default_input), free(me->label), free(me->resources), free(me);
 }
 
 API void *fmi2Instantiate(const char *label, int type, const char *guid, const char *location, const Callbacks *callbacks,

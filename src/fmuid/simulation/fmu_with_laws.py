@@ -85,12 +85,10 @@ def write_fmu_with_laws(fmu: Fmu, laws: Sequence[StateLaw], added: Sequence[Adde
     described = fmu.description
     if described.model_exchange is None:
         raise FmuError("does not offer model exchange", where=fmu.path, fix="export it for model exchange")
-    spec = find_spec("fmuid.simulation._fmu_with_laws")
-    if spec is None or spec.origin is None:
-        raise FmuError("the library of FMUs with laws is missing", where="fmuid", fix="install fmuid again")
+    carrier = _library()
     contents = _Contents(fmu, laws, added)
     text = contents.laws_text()
-    token = hashlib.sha256(text.encode() + fmu.path.read_bytes() + Path(spec.origin).read_bytes()).hexdigest()
+    token = hashlib.sha256(text.encode() + fmu.path.read_bytes() + carrier.read_bytes()).hexdigest()
     identifier = described.model_exchange.identifier
     buffer = io.BytesIO()
     with zipfile.ZipFile(fmu.path) as source, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -98,13 +96,25 @@ def write_fmu_with_laws(fmu: Fmu, laws: Sequence[StateLaw], added: Sequence[Adde
         if library not in source.namelist():
             raise FmuError("has no library for this machine", where=fmu.path, fix="export it for this machine")
         _add(archive, "modelDescription.xml", contents.description(f"{{{token[:32]}}}", identifier))
-        _add(archive, f"binaries/{library_name(2, identifier).as_posix()}", Path(spec.origin).read_bytes())
+        _add(archive, f"binaries/{library_name(2, identifier).as_posix()}", carrier.read_bytes())
         _add(archive, "resources/laws.txt", text.encode())
         for name in source.namelist():
             if name.startswith((library.rpartition("/")[0] + "/", "resources/")) and not name.endswith("/"):
                 _add(archive, f"{CONTAINED}/{name}", source.read(name))
         _add(archive, f"{CONTAINED}/modelDescription.xml", source.read("modelDescription.xml"))
     write_atomically(target, buffer.getvalue())
+
+
+def _library() -> Path:
+    spec = find_spec("fmuid.simulation._fmu_with_laws")
+    if spec is None or spec.origin is None:
+        raise FmuError("the library of FMUs with laws is missing", where="fmuid", fix="install fmuid again")
+    return Path(spec.origin)
+
+
+def carrier_version() -> str:
+    """Return a digest of the library in FMUs with laws, which tells those of other versions apart."""
+    return hashlib.sha256(_library().read_bytes()).hexdigest()
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
@@ -157,7 +167,7 @@ class _Contents:
         ]
         return "\n".join(
             [
-                "fmuid-laws 1",
+                "fmuid-laws 2",
                 f"library binaries/{library_name(fmu.version, exchange.identifier).as_posix()}",
                 f"name {described.name}",
                 f"token {described.token}",
@@ -166,6 +176,7 @@ class _Contents:
                 f"{len(self._parameters)} {sum(len(law.states) for law in self.laws)} {len(self.laws)}",
                 *self._law_lines(),
                 *(bits(one.value) for one in self._parameters),
+                *(bits(fmu.variables[name].start or 0.0) for name in self._inputs),
                 "",
             ]
         )

@@ -35,7 +35,7 @@ enum { N = KNOWN + 2 * STATES };
 #define FIRST(vr) (vr)
 #define SIZE(vr) 1
 #endif
-typedef struct { double r[N]; } Model;
+typedef struct { double r[N]; bool begun; } Model; /* values are readable once the initialisation has begun, as FMI says */
 
 static void evaluate(Model *m)
 {
@@ -75,12 +75,12 @@ static void *make(void)
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 void *fmi2Instantiate(const char *n, int t, const char *g, const char *l, const void *c, int v, int o) { return make(); }
 int fmi2SetupExperiment(void *c, int d, double t, double a, int s, double b) { return 0; }
-int fmi2EnterInitializationMode(void *c) { return 0; }
+int fmi2EnterInitializationMode(void *c) { return ((Model *)c)->begun = true, 0; }
 int fmi2NewDiscreteStates(void *c, void *info) { return memset(info, 0, 32), 0; }
 int fmi2CompletedIntegratorStep(void *c, int n, int *e, int *t) { return *e = *t = 0; }
 #else
 void *fmi3InstantiateModelExchange(const char *n, const char *t, const char *r, bool v, bool l, void *e, void *m) { return make(); }
-int fmi3EnterInitializationMode(void *c, bool d, double t, double a, bool s, double b) { return 0; }
+int fmi3EnterInitializationMode(void *c, bool d, double t, double a, bool s, double b) { return ((Model *)c)->begun = true, 0; }
 int fmi3UpdateDiscreteStates(void *c, bool *a, bool *b, bool *d, bool *e, bool *f, double *t) { return *a = *b = *d = *e = *f = false; }
 int fmi3CompletedIntegratorStep(void *c, bool n, bool *e, bool *t) { return *e = *t = false; }
 #endif
@@ -90,7 +90,7 @@ int NAME(ExitInitializationMode)(void *c) { return 0; }
 int NAME(EnterContinuousTimeMode)(void *c) { return 0; }
 int NAME(EnterEventMode)(void *c) { return 0; }
 int NAME(Terminate)(void *c) { return 0; }
-int NAME(Reset)(void *c) { return memcpy(((Model *)c)->r, START, sizeof START), 0; }
+int NAME(Reset)(void *c) { return ((Model *)c)->begun = false, memcpy(((Model *)c)->r, START, sizeof START), 0; }
 int NAME(SetTime)(void *c, double t) { return 0; }
 int NAME(SetContinuousStates)(void *c, const double x[], size_t n) { return memcpy(((Model *)c)->r + KNOWN, x, n * sizeof *x), 0; }
 int NAME(GetContinuousStates)(void *c, double x[], size_t n) { return memcpy(x, ((Model *)c)->r + KNOWN, n * sizeof *x), 0; }
@@ -108,6 +108,7 @@ int fmi3GetContinuousStateDerivatives(void *c, double x[], size_t n) { return sl
 int NAME(GetEventIndicators)(void *c, double x[], size_t n) { return 0; }
 static int get(Model *m, const unsigned vr[], size_t n, double x[])
 {
+    if (!m->begun) return 3;
     evaluate(m);
     for (size_t i = 0; i < n; x += SIZE(vr[i]), i++) memcpy(x, m->r + FIRST(vr[i]), SIZE(vr[i]) * sizeof *x);
     return 0;

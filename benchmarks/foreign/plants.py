@@ -1,4 +1,4 @@
-"""Model Exchange FMUs written by hand in C (`plants.c`), and rigs that have a law which these models lack."""
+"""Model Exchange FMUs written by hand in C (`plants.c`), and logs of rigs that have more than these models."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.simulation.fmu_description import library_name
 
 SOURCE = Path(__file__).with_name("plants.c")
-Slope = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Floats = np.ndarray
+Slope = Callable[[Floats, Floats, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -67,29 +68,71 @@ def _steps(t, k, every):
 
 PLANTS = {
     "DRIVE": Plant(
-        {"tau": "N.m"}, {"J1": "kg.m2", "c": "N.m/rad", "d": "N.m.s/rad", "J2": "kg.m2"},
-        {"phi1": "rad", "phi2": "rad", "w1": "rad/s", "w2": "rad/s"}, (2e-3, 15.0, 0.02, 5e-3), (0, 0, 0, 0), (2.1e-3, 14.0, 0.022, 5.2e-3), _drive, 2.0,
-        lambda t, k: np.array([0.15 * (_steps(t, k, 0.2) + np.sin((3 + k) * t))]), (0.0, 0.0, 0.02, 0.02), (2, 3),
+        {"tau": "N.m"},
+        {"J1": "kg.m2", "c": "N.m/rad", "d": "N.m.s/rad", "J2": "kg.m2"},
+        {"phi1": "rad", "phi2": "rad", "w1": "rad/s", "w2": "rad/s"},
+        (2e-3, 15.0, 0.02, 5e-3),
+        (0, 0, 0, 0),
+        (2.1e-3, 14.0, 0.022, 5.2e-3),
+        _drive,
+        2.0,
+        lambda t, k: np.array([0.15 * (_steps(t, k, 0.2) + np.sin((3 + k) * t))]),
+        (0.0, 0.0, 0.02, 0.02),
+        (2, 3),
     ),
     "HOUSE": Plant(
-        {"P_heat": "W", "T_out": "K"}, {"C_room": "J/K", "G_wall": "W/K", "C_wall": "J/K", "G_out": "W/K"},
-        {"T_room": "K", "T_wall": "K"}, (2e5, 80.0, 3e6, 40.0), (293.0, 290.0), (2.2e5, 85.0, 2.8e6, 42.0), _house, 2e5,
-        lambda t, k: np.array([700 + 600 * _steps(t, k, 7200.0), 283 + 6 * np.sin(2 * np.pi * t / 86400 + k)]), (0.02, 0.02), (0, 1),
+        {"P_heat": "W", "T_out": "K"},
+        {"C_room": "J/K", "G_wall": "W/K", "C_wall": "J/K", "G_out": "W/K"},
+        {"T_room": "K", "T_wall": "K"},
+        (2e5, 80.0, 3e6, 40.0),
+        (293.0, 290.0),
+        (2.2e5, 85.0, 2.8e6, 42.0),
+        _house,
+        2e5,
+        lambda t, k: np.array([700 + 600 * _steps(t, k, 7200.0), 283 + 6 * np.sin(2 * np.pi * t / 86400 + k)]),
+        (0.02, 0.02),
+        (0, 1),
     ),
     "CIRCUIT": Plant(
-        {"v_in": "V"}, {"L": "H", "R": "Ohm", "C": "F", "R_load": "Ohm"}, {"i": "A", "v": "V"}, (1e-2, 2.0, 1e-3, 20.0), (0.0, 0.0),
-        (1.1e-2, 2.1, 1.05e-3, 19.0), _circuit, 0.4, lambda t, k: np.array([10 * _steps(t, k, 0.02)]), (0.01, 0.02), (0, 1),
+        {"v_in": "V"},
+        {"L": "H", "R": "Ohm", "C": "F", "R_load": "Ohm"},
+        {"i": "A", "v": "V"},
+        (1e-2, 2.0, 1e-3, 20.0),
+        (0.0, 0.0),
+        (1.1e-2, 2.1, 1.05e-3, 19.0),
+        _circuit,
+        0.4,
+        lambda t, k: np.array([10 * _steps(t, k, 0.02)]),
+        (0.01, 0.02),
+        (0, 1),
     ),
     "TANK": Plant(
-        {"q": "m3/s"}, {"A1": "m2", "A2": "m2", "k1": "m2.5/s", "k2": "m2.5/s"}, {"h1": "m", "h2": "m"}, (0.02, 0.015, 1.2e-3, 1e-3), (0.3, 0.25),
-        (0.021, 0.0145, 1.25e-3, 1.05e-3), _tank, 600.0, lambda t, k: np.array([6e-4 + 3e-4 * _steps(t, k, 40.0)]), (5e-4, 5e-4), (0, 1),
+        {"q": "m3/s"},
+        {"A1": "m2", "A2": "m2", "k1": "m2.5/s", "k2": "m2.5/s"},
+        {"h1": "m", "h2": "m"},
+        (0.02, 0.015, 1.2e-3, 1e-3),
+        (0.3, 0.25),
+        (0.021, 0.0145, 1.25e-3, 1.05e-3),
+        _tank,
+        600.0,
+        lambda t, k: np.array([6e-4 + 3e-4 * _steps(t, k, 40.0)]),
+        (5e-4, 5e-4),
+        (0, 1),
     ),
     "ROD": Plant(
-        {"P_heat": "W"}, {"C": "J/K", "G": "W/K", "G_out": "W/K", "T_out": "K"}, {"T[1]": "K", "T[2]": "K", "T[3]": "K"},
-        (60.0, 0.8, 0.3, 293.0), (293.0, 293.0, 293.0), (62.0, 0.75, 0.31, 293.0), _rod, 2000.0,
-        lambda t, k: np.array([20 + 15 * _steps(t, k, 100.0)]), (0.02, 0.02, 0.02), (0, 1, 2),
+        {"P_heat": "W"},
+        {"C": "J/K", "G": "W/K", "G_out": "W/K", "T_out": "K"},
+        {"T[1]": "K", "T[2]": "K", "T[3]": "K"},
+        (60.0, 0.8, 0.3, 293.0),
+        (293.0, 293.0, 293.0),
+        (62.0, 0.75, 0.31, 293.0),
+        _rod,
+        2000.0,
+        lambda t, k: np.array([20 + 15 * _steps(t, k, 100.0)]),
+        (0.02, 0.02, 0.02),
+        (0, 1, 2),
     ),
-}  # fmt: skip
+}
 
 
 def plant_fmu(name: str, folder: Path, fmi: int = 2) -> Path:
@@ -152,45 +195,67 @@ def _description(name: str, plant: Plant, fmi: int) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Gap:
+    """What a rig has beyond its model.
+
+    Attributes
+    ----------
+    flow
+        What is added to the slope of the states `x`, with hidden states `z`.
+    hidden, start
+        Slope of the hidden states, and where they begin.
+    drive
+        Inputs that act, for those that are commanded; `late` is by how many samples they act later.
+    reads
+        Readings of the states, shape (states, N), at times `t`, with inputs and hidden states.
+    """
+
+    flow: Callable[[Floats, Floats], Floats] = lambda x, z: 0 * x
+    hidden: Callable[[Floats, Floats, Floats], Floats] = lambda x, u, z: np.zeros(0)
+    start: Callable[[Floats, Floats], Floats] = lambda x, u: np.zeros(0)
+    drive: Callable[[Floats, Floats], Floats] = lambda u, z: u
+    reads: Callable[[Floats, Floats, Floats, Floats], Floats] = lambda x, u, t, z: x
+    late: int = 0
+
+
+def simulated(plant: Plant, gap: Gap, time: Floats, inputs: Floats) -> Floats:
+    """Return the readings of a rig without noise, (states, N), by SciPy; inputs are held."""
+    acting = np.concatenate([np.repeat(inputs[:, :1], gap.late, 1), inputs], axis=1)[:, : time.size]
+    values, n = np.array(plant.values), len(plant.states)
+    x0 = np.array(plant.start, dtype=float)
+    both = [np.concatenate([x0, gap.start(x0, acting[:, 0])])]
+    for k in range(time.size - 1):
+        u = acting[:, k]
+
+        def slope(_: float, y: Floats, u: Floats = u) -> Floats:
+            x, z = y[:n], y[n:]
+            here = plant.slope(x, gap.drive(u, z), values) + gap.flow(x, z)
+            return np.concatenate([here, gap.hidden(x, u, z)])
+
+        found = solve_ivp(slope, (time[k], time[k + 1]), both[-1], "LSODA", rtol=1e-8, atol=1e-9)
+        both.append(found.y[:, -1])
+    rows = np.array(both).T
+    return gap.reads(rows[:n], acting, time, rows[n:])
+
+
 def write_logs(
-    name: str,
-    lacking: Callable[[np.ndarray], np.ndarray],
-    folder: Path,
-    runs: int = 4,
-    repeats: int = 2,
-    samples: int = 400,
+    name: str, gap: Gap, folder: Path, runs: int = 4, repeats: int = 2, samples: int = 400, seed: int = 7
 ) -> list[Path]:
-    """Simulate a rig whose slope has `lacking` (of the states) in addition, by SciPy, and write its logs."""
+    """Write the logs of a rig, with noise; every run is repeated."""
     plant = PLANTS[name]
     time = np.linspace(0.0, plant.duration, samples + 1)
-    values = np.array(plant.values)
-    random = np.random.default_rng(7)
+    random = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
+    units = {**plant.inputs, **plant.states}
+    names = list(plant.states)
     logs = []
     for run in range(runs):
         inputs = plant.course(time, run)
-        x, rows = np.array(plant.start, dtype=float), []
-        for k, t in enumerate(time):
-            rows.append(x)
-            if k + 1 < len(time):
-                u = inputs[:, k]
-                span = (t, time[k + 1])
-                found = solve_ivp(
-                    lambda _, x, u=u: plant.slope(x, u, values) + lacking(x),
-                    span,
-                    x,
-                    "LSODA",
-                    rtol=1e-8,
-                    atol=1e-9,
-                )
-                x = found.y[:, -1]
+        exact = simulated(plant, gap, time, inputs)
         for again in range(repeats):
-            noisy = np.array(rows).T + np.array(plant.noise)[:, None] * random.standard_normal(
-                (len(plant.states), len(time))
-            )
-            names = list(plant.states)
+            noisy = exact + np.array(plant.noise)[:, None] * random.standard_normal(exact.shape)
             columns = dict(zip(plant.inputs, inputs, strict=True)) | {names[i]: noisy[i] for i in plant.measured}
-            units = {**plant.inputs, **plant.states}
             logs.append(folder / f"run{run}_{again}.csv")
             write_csv(Table(time, columns, {n: units[n] for n in columns}), logs[-1])
     return logs
