@@ -827,9 +827,11 @@ def _observer(table: _StageTable, where: str) -> bool | Mapping[str, Mapping[str
 def _segments(raw: float | str | None, where: str) -> float | Literal["auto"] | None:
     if raw is None or raw == "auto":
         return cast(Literal["auto"] | None, raw)
+    if raw == "run":
+        return math.inf
     if isinstance(raw, str) or not (math.isfinite(raw) and raw > 0):
         raise CampaignError(
-            f"segments is {raw!r}", where=where, fix='write their length in s, or segments = "auto"'
+            f"segments is {raw!r}", where=where, fix='write their length in s, or segments = "auto" or "run"'
         )
     return float(raw)
 

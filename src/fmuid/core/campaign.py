@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -278,8 +279,9 @@ class StageSpec:
     analyses
         Analyses after the search.
     segments
-        Length (s) of the segments that runs are cut into, ``auto`` for a length that suits the model, or None for
-        whole runs; see `fmuid.simulation.segmented`.
+        Length (s) of the segments that runs are cut into, ``auto`` for a length that suits the model, infinite for
+        whole runs that start from estimated states, or None for whole runs that start as the model says; see
+        `fmuid.simulation.segmented`.
     observer
         True for output feedback with gains estimated together with the parameters; or given gains, state -> output
         -> gain, where states and outputs are FMU variables; see `fmuid.simulation.observer_model`.
@@ -300,6 +302,11 @@ class StageSpec:
     analyses: AnalysisSpec = AnalysisSpec()
     segments: float | Literal["auto"] | None = None
     observer: bool | Mapping[str, Mapping[str, float]] = False
+
+    @property
+    def apart(self) -> bool:
+        """Whether each run is predicted by itself, repeats as well, since its states follow its measurements."""
+        return bool(self.observer) or self.segments not in (None, math.inf)
 
 
 @dataclass(frozen=True, slots=True)

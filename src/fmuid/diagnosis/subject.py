@@ -129,7 +129,12 @@ def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[
                 f"Runs of setup '{setup}' are predicted whole, not as stage '{stage.name}' does: with effects, "
                 f"{why}. This diagnosis says little about an unstable plant."
             )
-        if cut:
+        if cut and all(s.length == math.inf for s in cut):
+            found.append(
+                f"Runs of setup '{setup}' start from values of {', '.join(cut[0].states)} that are fitted to"
+                " each run, not from the model's start values."
+            )
+        elif cut:
             segments, states = sum(s.segments for s in cut), sum(s.nuisances for s in cut)
             why = f"; stage '{stage.name}' has an observer instead" if stage is not None and stage.observer else ""
             found.append(

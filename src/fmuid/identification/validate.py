@@ -192,8 +192,7 @@ def cases_of(
     cases: list[Case] = []
     for setup, stage in stages.items():
         own = [run for run in runs if run.setup == setup]
-        whole = stage.segments is None and not stage.observer
-        found = from_campaign(campaign, own, (), simulators, apart=not whole)
+        found = from_campaign(campaign, own, (), simulators, apart=stage.apart)
         if stage.segments is not None:
             found = tuple(segmented(case, stage.segments, values) for case in found)
         if stage.observer:

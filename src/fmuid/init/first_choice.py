@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -11,6 +12,8 @@ import numpy as np
 from fmuid.core.errors import FmuidError, ProblemError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.resolution import quantum
+from fmuid.data.noise.single_run import single_run_variance
 from fmuid.init.known_values import (
     DEFAULT,
     ModelText,
@@ -22,7 +25,7 @@ from fmuid.init.known_values import (
 from fmuid.init.seen_run import in_segments, seen_run
 from fmuid.init.timing import Convention, LostRow, chosen, lost_rows, timed, timing_conventions
 from fmuid.simulation.runners import Runner
-from fmuid.simulation.segmented import Growth, open_loop
+from fmuid.simulation.segmented import Growth, Length, open_loop, states_of
 from fmuid.simulation.simulator import Simulator, Variable
 
 _MAX_RUNS = 3
@@ -31,6 +34,7 @@ _LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do n
 _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
 _DEPENDS = 0.05  # relative change of an estimate with a fixed value
+_ELSEWHERE = 10.0  # standard deviations of noise between the first samples of a run and of the model
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 
 NO_EFFECT = "does not affect any measured output"
@@ -76,7 +80,7 @@ def first_choice(
     runner: Runner,
     *,
     text: ModelText | None = None,
-    away: bool = False,
+    cut: Restarts | None = None,
 ) -> FirstChoice:
     """Choose by the sensitivities of the first three runs at the start values.
 
@@ -89,8 +93,8 @@ def first_choice(
     ----------
     text
         The model's source.
-    away
-        Whether the runs diverge in open loop: the effects are then those within segments.
+    cut
+        The segments within which the runs are predicted, if any.
     """
     parameters = [
         v
@@ -100,7 +104,8 @@ def first_choice(
     known = _known_parameters(parameters, text or ModelText())
     candidates = [v for v in parameters if v.start and v.name not in known]
     tried = candidates[:_MAX_CANDIDATES]
-    seen = [seen_run(model, run, mapping, runner, segments=away) for run in runs[:_MAX_RUNS]]
+    segments = None if cut is None else cut.length
+    seen = [seen_run(model, run, mapping, runner, segments=segments) for run in runs[:_MAX_RUNS]]
     steps, done = len(seen) * len(tried), itertools.count()
     tell = None if progress is None else lambda: progress(next(done) / steps)
     every = [one.effects(tried, tell) for one in seen]
@@ -118,7 +123,7 @@ def first_choice(
     of_held = {v.name: effects[v.name] for r in (EXPLAINED, CONSTRUCTION) for v in held[r]}
     depends = dependence({v.name: effects[v.name] for v in free}, of_held)
     timing, lost, wide = Convention("held"), tuple[LostRow, ...](), tuple[str, ...]()
-    if free and not away:
+    if free and segments != "auto":
         timing = chosen(timing_conventions(seen, free))
         fits = [timed(one, timing).refitted(free) for one in seen]
         lost = lost_rows(fits, [run.id for run in runs[:_MAX_RUNS]])
@@ -187,6 +192,72 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
         return None
     found = open_loop(whole)
     return found if found is not None and found.runs_away else None
+
+
+@dataclass(frozen=True, slots=True)
+class Restarts:
+    """Estimated start states of runs: the length of segments, its value in the campaign, and the reason."""
+
+    length: Length
+    written: str
+    why: str
+
+    @property
+    def line(self) -> str:
+        """The line of the campaign."""
+        return f'segments = "{self.written}"'
+
+    def __str__(self) -> str:
+        """Return a line on the choice."""
+        if self.written == "auto":
+            return f"runs are cut into segments, because the simulation diverges in open loop ({self.why})"
+        return f"the start states of each run are estimated, because {self.why}"
+
+
+def restarts(
+    model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str, str], runner: Runner
+) -> tuple[Restarts | None, tuple[str, ...]]:
+    """Return how runs start if not as the model says, and a line on it or on why the model cannot follow."""
+    away = runs_away(model, runs, mapping)
+    if away is not None:
+        found = Restarts("auto", "auto", str(away))
+        return found, (str(found),)
+    elsewhere = starts_elsewhere(model, runs, mapping, runner)
+    if elsewhere is None:
+        return None, ()
+    try:
+        states_of(model)
+    except ProblemError as error:
+        return None, (f"the model cannot start as the runs do: {elsewhere}, but {error.what}",)
+    found = Restarts(math.inf, "run", elsewhere)
+    return found, (str(found),)
+
+
+def starts_elsewhere(
+    model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str, str], runner: Runner
+) -> str | None:
+    """Return in words where a run begins and where the model does, beyond noise and one sample's motion.
+
+    A difference that other values of the parameters could make does not count.
+    """
+    parameters = [v for v in model.variables.values() if v.causality == "parameter" and v.start]
+    parameters = [v for v in parameters if v.type in ("Real", "Float64")][:_MAX_CANDIDATES]
+    for run in runs[:_MAX_RUNS]:
+        one = seen_run(model, run, mapping, runner)
+        first, measured = one.nominal[:, :2], one.measured
+        apart = np.maximum(first.min(axis=1) - measured[:, 0], measured[:, 0] - first.max(axis=1))
+        noise = np.sqrt([single_run_variance([y], quantum(y)) for y in measured])
+        far = np.flatnonzero(apart > _ELSEWHERE * noise)
+        if not far.size:
+            continue
+        effects = one.effects(parameters).values()
+        reach = one.scale[:, 0] * sum((np.abs(e[:, 0]) for e in effects), start=np.zeros(len(apart)))
+        for k in far[apart[far] > reach[far]].tolist():
+            name = one.outputs[k]
+            unit = model.variables[name].unit or ""
+            begins = f"{name} = {measured[k, 0]:.3g} {unit}".rstrip()
+            return f"'{run.id}' starts at {begins}, the model at {first[k, 0]:.3g}"
+    return None
 
 
 def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str] = ()) -> list[str]:

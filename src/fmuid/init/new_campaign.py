@@ -27,7 +27,7 @@ from fmuid.data.noise.level import conversion_at
 from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.data.table_layout import TableLayout
-from fmuid.init.first_choice import FirstChoice, first_choice, runs_away, solver_error
+from fmuid.init.first_choice import FirstChoice, Restarts, first_choice, restarts, solver_error
 from fmuid.init.known_values import CERTAIN, ModelText, guessed_bounds, is_temperature
 from fmuid.init.not_looked_for import NotLookedFor, not_looked_for
 from fmuid.init.seen_run import seen_run
@@ -35,7 +35,6 @@ from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model, load_simulator
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.runners import Runner, in_process
-from fmuid.simulation.segmented import Growth
 from fmuid.simulation.simulator import Variable
 
 _TIMINGS = {
@@ -141,8 +140,8 @@ def new_campaign(
             f"model exchange: the solver inside {fmu.name} is off by {100 * error:.2g} % of an output's range"
         )
     seen_run(model, used[0], mapping, runner)  # a model that crashes does so under supervision
-    away = runs_away(model, used, mapping)
-    choice = first_choice(model, used, mapping, progress, runner, text=ModelText(source), away=away is not None)
+    cut, told = restarts(model, used, mapping, runner)
+    choice = first_choice(model, used, mapping, progress, runner, text=ModelText(source), cut=cut)
     if not choice.free:
         raise CampaignError(
             f"no parameter of {fmu.name} affects a measured output",
@@ -150,12 +149,11 @@ def new_campaign(
             fix="check inputs and outputs",
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
-    if away is not None:
-        guesses.append(f"runs are cut into segments, because the simulation diverges in open loop ({away})")
+    guesses += told
     write_measurements(Measurements(runs), folder / "measurements.h5")
     write_atomically(
         target,
-        _toml(folder, source or fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, away=away),
+        _toml(folder, source or fmu, runs=runs, mapping=mapping, choice=choice, interface=interface, cut=cut),
     )
     unlooked = not_looked_for(load_campaign(folder), load_simulator, runner)
     return NewCampaign(folder, tuple(dict.fromkeys(guesses)), unlooked)
@@ -329,7 +327,7 @@ def _toml(
     mapping: Mapping[str, str],
     choice: FirstChoice,
     interface: Interface | None,
-    away: Growth | None,
+    cut: Restarts | None,
 ) -> str:
     setup = next(iter(runs.values())).setup
     identification = [run.id for run in _for_identification(runs)]
@@ -390,11 +388,7 @@ def _toml(
         "# One stage: every free parameter, all runs for identification, least squares on every output.",
         "[stages.all]",
         "budget = { evaluations = 500 }",
-        *(
-            [f"# {away}, so each segment starts again from its own state.", 'segments = "auto"']
-            if away is not None
-            else []
-        ),
+        *(() if cut is None else (f"# The states at the start are estimated: {cut.why}.", cut.line)),
         "",
     ]
     return "\n".join(lines) + "\n"

@@ -16,7 +16,7 @@ from fmuid.core.units import conversion
 from fmuid.identification.solvers.trust_region import trust_region
 from fmuid.init.known_values import guessed_bounds
 from fmuid.simulation.runners import Runner, simulated
-from fmuid.simulation.segmented import Segmented
+from fmuid.simulation.segmented import Length, Segmented
 from fmuid.simulation.simulator import Simulator, Task, Variable
 
 _STEP = 0.01  # relative change of a parameter for estimating its effect
@@ -67,6 +67,11 @@ class SeenRun:
     def inputs(self) -> Mapping[str, FloatArray]:
         """(N,) samples of the inputs by the model's variables."""
         return self._task.inputs
+
+    @property
+    def measured(self) -> FloatArray:
+        """(outputs, N) measurements in the model's units, NaN where there is none."""
+        return self._measured
 
     @property
     def time(self) -> FloatArray:
@@ -195,16 +200,23 @@ def ports_of(
 
 
 def seen_run(
-    model: Simulator, run: Experiment, mapping: Mapping[str, str], runner: Runner, *, segments: bool = False
+    model: Simulator,
+    run: Experiment,
+    mapping: Mapping[str, str],
+    runner: Runner,
+    *,
+    segments: Length | None = None,
 ) -> SeenRun:
-    """Return a run with the response of a model at its start values, in segments if that is asked for."""
+    """Return a run with the response of a model at its start values, in segments if their length is given."""
     inputs, measured = ports_of(model, run, mapping)
-    if segments:
-        model = in_segments(model, run, mapping)
+    if segments is not None:
+        model = in_segments(model, run, mapping, segments)
     return SeenRun(model, Task(run.time, inputs, tuple(measured)), np.array(list(measured.values())), runner)
 
 
-def in_segments(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -> Segmented:
+def in_segments(
+    model: Simulator, run: Experiment, mapping: Mapping[str, str], length: Length = "auto"
+) -> Segmented:
     """Return a model that is restarted along a run, in segments that suit it.
 
     Raises
@@ -215,4 +227,4 @@ def in_segments(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -
     inputs, measured = ports_of(model, run, mapping)
     values = np.array(list(measured.values()))
     known = np.isfinite(values).astype(np.float64)
-    return Segmented(model, Task(run.time, inputs, tuple(measured)), "auto", target=values, weight=known, at={})
+    return Segmented(model, Task(run.time, inputs, tuple(measured)), length, target=values, weight=known, at={})

@@ -82,8 +82,7 @@ def iterates(
     """
     spec = campaign.stages[result.name]
     runs = case_building.experiments_of(campaign, spec.experiments, where=result.name)
-    apart = spec.segments is not None
-    made = case_building.from_campaign(campaign, runs, spec.criteria, simulators, apart=apart)
+    made = case_building.from_campaign(campaign, runs, spec.criteria, simulators, apart=spec.apart)
     cases = {c.id: c for c in made}
     rows = list(recorded.iterates())
     if not rows:

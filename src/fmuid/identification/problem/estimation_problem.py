@@ -101,8 +101,7 @@ class Problem:
         """
         where = f"stage '{stage.name}'"
         experiments = case_building.experiments_of(campaign, stage.experiments, where=where)
-        apart = stage.segments is not None or bool(stage.observer)
-        cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators, apart=apart)
+        cases = case_building.from_campaign(campaign, experiments, stage.criteria, simulators, apart=stage.apart)
         values = dict(best or {}) | dict(stage.start)
         specs = campaign.parameters.values()
         space = expanded(

@@ -83,7 +83,8 @@ def in_segments(
         if stage is not None and why_whole(stage, simulators[setup]) is None:
             length = "auto" if stage.observer else stage.segments
         own = [run for run in runs if run.setup == setup]
-        found = from_campaign(campaign, own, (), simulators, apart=length is not None)
+        apart = stage is not None and stage.apart and length is not None
+        found = from_campaign(campaign, own, (), simulators, apart=apart)
         cases += found if length is None else [segmented(case, length, values) for case in found]
     order = {run.id: k for k, run in enumerate(runs)}
     return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))

@@ -1,0 +1,93 @@
+"""Runs that start in motion, or warm, while the model starts from its own values."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fmuid
+from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.diagnosis.made_catalogue import with_catalogue
+from fmuid.diagnosis.subject import subject_of
+from fmuid.simulation.coupled.loading import load_simulator
+
+MODEL = """
+model Room
+  parameter Real G(unit="W/K") = 20;
+  parameter Real C(unit="J/K") = 2e4;
+  input Real P(unit="W");
+  output Real T(unit="K");
+  Real wall(unit="K", start=293, fixed=true);
+  Real air(unit="K"{start});
+equation
+  T = air;
+  C*der(wall) = G*(air - wall) - 0.3*G*(wall - 293);
+  0.2*C*der(air) = P - G*(air - wall);
+end Room;
+"""
+TIME = 20.0 * np.arange(200)
+
+
+def course(power, air, wall):
+    """Temperatures of the air of a room with G = 24, which starts at `air` and `wall`."""
+
+    def slope(x, p):
+        flow = 24.0 * (x[0] - x[1])
+        return np.array([(p - flow) / 4e3, (flow - 7.2 * (x[1] - 293.0)) / 2e4])
+
+    x, found = np.array([air, wall]), []
+    for p in power:
+        found.append(x[0])
+        for _ in range(8):
+            a = slope(x, p)
+            x = x + 2.5 * slope(x + 1.25 * a, p)
+    return np.array(found)
+
+
+def logs(folder: Path, warm: float, repeats: int = 2) -> list[Path]:
+    """Logs of the room, which starts `warm` kelvin above the model or more, its wall by half of that."""
+    rng, paths = np.random.default_rng(2), []
+    (folder / "Room.mo").write_text(MODEL.replace("{start}", ", start=293, fixed=true"))
+    for run in range(3):
+        power = 300.0 * (np.sin((1 + run) * 2e-3 * TIME) > 0.0)
+        true = course(power, 293.0 + warm * (1.0 + run), 293.0 + 0.5 * warm)
+        for k in range(repeats):
+            rows = np.column_stack([100.0 * k + TIME, power, true + 0.02 * rng.standard_normal(TIME.size)])
+            paths.append(folder / f"run{run}_{k}.csv")
+            np.savetxt(paths[-1], rows, "%.5f", ",", header="time,P [W],T [K]", comments="")
+    return paths
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def test_start_states_are_estimated_where_runs_start_elsewhere(tmp_path):
+    campaign = fmuid.start(logs(tmp_path, 4.0), model=tmp_path / "Room.mo", out=tmp_path / "room")
+    text = (tmp_path / "room" / "campaign.toml").read_text()
+    assert "# The states at the start are estimated: 'run0_0' starts at T = 297 K, the model at 293." in text
+    assert 'segments = "run"' in text
+    result = fmuid.identify(campaign)
+    assert result.parameters["G"] == pytest.approx(24.0, rel=0.02)
+    subject = subject_of(with_catalogue(load_campaign(tmp_path / "room"), load_simulator), load_simulator)
+    assert all(run.n_repeats == 2 for run in subject.observed.runs)
+    found = fmuid.diagnose(campaign, law=False).diagnosis
+    assert not found.gap.present
+    assert any("fitted to each run" in note for note in found.notes)
+
+
+def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):
+    fmuid.start(logs(tmp_path, 0.0, repeats=1), model=tmp_path / "Room.mo", out=tmp_path / "room")
+    assert "segments" not in (tmp_path / "room" / "campaign.toml").read_text()
+
+
+def test_a_model_that_calculates_its_start_says_so(tmp_path, capsys):
+    paths = logs(tmp_path, 4.0, repeats=1)
+    file = tmp_path / "Given.mo"
+    given = MODEL.replace("{start}", "").replace("Room", "Given")
+    file.write_text(given.replace("equation\n", "initial equation\n  air = wall;\nequation\n", 1))
+    fmuid.start(paths, model=file, out=tmp_path / "given")
+    told = "the model cannot start as the runs do: 'run0_0' starts at T = 297 K, the model at 293, but the state"
+    assert told in capsys.readouterr().out
+    assert "segments" not in (tmp_path / "given" / "campaign.toml").read_text()
