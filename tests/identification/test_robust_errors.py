@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid import ParameterSpec, Problem, Status, Task, identify, measured_case
+from fmuid import ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
 
 TIME = np.arange(300) * 0.02
@@ -102,6 +102,52 @@ def test_a_residual_that_is_not_white_is_in_the_headline(analytic):
     right = identify(runs(analytic, "white", 1)).stages[0]
     assert right.sound
     assert "unexplained" not in right.summary
+
+
+def orbit(slopes, start):
+    """A model that integrates its state by fixed steps of the classical Runge-Kutta method."""
+
+    def simulate(time, inputs, p):
+        x, h, seen = np.array(start), (time[1] - time[0]) / 4, [start[0]]
+        for _ in time[1:]:
+            for _ in range(4):
+                a = slopes(x, p)
+                b = slopes(x + h / 2 * a, p)
+                c = slopes(x + h / 2 * b, p)
+                x = x + h / 6 * (a + 2 * b + 2 * c + slopes(x + h * c, p))
+            seen.append(x[0])
+        return {"x": np.array(seen)}
+
+    return simulate
+
+
+VAN_DER_POL = orbit(lambda x, p: np.array([x[1], p["mu"] * (1 - x[0] ** 2) * x[1] - x[0]]), [2.0, 0.0])
+LORENZ = orbit(
+    lambda x, p: np.array([p["s"] * (x[1] - x[0]), x[0] * (p["r"] - x[2]) - x[1], x[0] * x[1] - p["b"] * x[2]]),
+    [1.0, 1.0, 1.0],
+)
+
+
+@pytest.mark.parametrize("sigma", [0.02, None])
+@pytest.mark.parametrize(
+    ("model", "step", "truth", "starts"),
+    [
+        (VAN_DER_POL, 0.1, {"mu": 3.0}, [{"mu": 0.5}, {"mu": 6.0}]),
+        (LORENZ, 0.04, {"s": 10.0, "r": 28.0, "b": 8 / 3}, [{"s": 6.0, "r": 40.0, "b": 2.0}]),
+    ],
+)
+def test_a_fit_of_the_wrong_regime_is_not_sound(analytic, model, step, truth, starts, sigma):
+    time = step * np.arange(250)
+    y = model(time, {}, truth)["x"] + 0.02 * np.random.default_rng(0).standard_normal(250)
+    for start in starts:
+        specs = [ParameterSpec(name, value, 0.05, 100.0) for name, value in start.items()]
+        known = None if sigma is None else {"x": sigma}
+        case = measured_case("run", analytic(model, truth, ["x"]), Task(time, {}, ("x",)), {"x": y}, sigma=known)
+        stage = identify(Problem([case], specs), stop=StopRules(evaluations=100)).stages[0]
+        assert not stage.sound
+        assert "of x unexplained, not white" in stage.summary
+        if model is LORENZ:
+            assert any('try segments = "auto"' in w for w in stage.warnings)
 
 
 def test_segments_are_advised_where_sensitivities_explode(analytic):
