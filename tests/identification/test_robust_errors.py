@@ -58,9 +58,7 @@ def test_robust_errors_are_marked_and_explained(analytic):
     assert "k" in stage.uncertainty.robust
     assert stage["k"].note == "robust"
     assert "robust" in str(stage).splitlines()[2]
-    assert any(
-        "k, T, b: robust standard errors, from the scatter between 6 experiments" in w for w in stage.warnings
-    )
+    assert any("k, T, b: robust standard errors, from the scatter between 6 runs" in w for w in stage.warnings)
     plain = identify(runs(analytic, "white", 1)).stages[0]
     assert plain.uncertainty.robust == ()
     assert "note" not in str(plain).splitlines()[1]
@@ -85,13 +83,29 @@ def test_equal_experiments_have_one_degree_of_freedom_less_than_their_number(ana
     assert 1.0 <= degrees([10.0, 1.0, 1.0, 1.0, 1.0]) < 2.0
 
 
+def test_a_parameter_that_differs_between_repeats_has_the_error_of_their_scatter(analytic):
+    random, u = np.random.default_rng(2), np.sin(2.0 * np.pi * 0.6 * TIME)
+    task, inside = Task(TIME, {"u": u}, ("y",), {}, "hold"), []
+    specs = [ParameterSpec("k", 1.5, 0.1, 10.0), ParameterSpec("T", 0.4, 0.05, 5.0), ParameterSpec("b", 0.0)]
+    for _ in range(20):
+        gains = TRUTH["k"] * (1.0 + 0.1 * random.standard_normal(5))
+        y = np.array([lag(TIME, {"u": u}, TRUTH | {"k": k})["y"] for k in gains])
+        y += SIGMA * random.standard_normal(y.shape)
+        case = measured_case("run", analytic(lag, list(TRUTH)), task, {"y": y}, sigma={"y": SIGMA})
+        stage = identify(Problem([case], specs)).stages[0]
+        assert stage["k"].standard_error == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5), rel=0.3)
+        assert any("k" in w and "the scatter between 5 runs" in w for w in stage.warnings)
+        inside.append(stage["k"].interval[0] < TRUTH["k"] < stage["k"].interval[1])
+    assert np.mean(inside) >= 0.85
+
+
 @pytest.mark.parametrize(("kind", "count"), [("friction", 1), ("friction", 2), ("white", 2), ("friction", 6)])
 def test_too_few_experiments_are_named_where_the_model_does_not_follow_them(analytic, kind, count):
     stage = identify(runs(analytic, kind, 1, count=count)).stages[0]
     doubts = [w for w in stage.warnings if "intervals may be too narrow" in w]
     assert len(doubts) == (kind == "friction" and count <= 2)
     if doubts:
-        assert f"{count} experiment{'s do' if count > 1 else ' does'} not show" in doubts[0]
+        assert f"{count} run{'s do' if count > 1 else ' does'} not show" in doubts[0]
 
 
 def test_a_residual_that_is_not_white_is_in_the_headline(analytic):

@@ -1,8 +1,9 @@
 """Standard errors that are robust to what a model misses: the scatter of estimates from run to run.
 
 The residuals of a wrong model depend on what a run does, so autocorrelations within runs do not show by how much
-other runs would move the estimate. The scores of whole experiments do, corrected for the part that each run itself
-has in the estimate (CR2 of Bell and McCaffrey, 2002). A campaign of few runs is cut into blocks of time as well.
+other runs would move the estimate. The scores of whole runs do, repeats included, corrected for the part that each
+run itself has in the estimate (CR2 of Bell and McCaffrey, 2002). A campaign of few runs is cut into blocks of time
+as well.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
 
 Rows = NDArray[np.intp]
-EXPERIMENTS = "experiments"
+RUNS, BLOCKS = "runs", "blocks of time"
 _FEWEST = 2  # runs that a variance from run to run needs
 _ENOUGH = 8  # clusters; with fewer runs, blocks of time are looked at as well
 _SHORTEST = 30  # samples of a block
@@ -90,14 +91,57 @@ def clustered(
     memory
         Samples over which residuals are correlated; None if they are white, so that blocks of time show no more.
     """
-    runs = _rows(problem, 1)
-    found = [_between(runs, residuals, j, noise, EXPERIMENTS)] if len(runs) >= _FEWEST else []
+    runs = _runs(problem, residuals, j, noise)
+    found = [_between(runs, RUNS)] if len(runs) >= _FEWEST else []
     if len(runs) < _ENOUGH and memory is not None:
         longest = min(len(case.time) for case in problem.cases)
         parts = min(-(-_ENOUGH // len(runs)), longest // max(_SHORTEST, 2 * memory))
         if parts > 1 and len(runs) * parts >= _FEWEST:
-            found.append(_between(_rows(problem, parts), residuals, j, noise, "blocks of time"))
+            blocks = [_Part(residuals[rows], j[rows], noise[rows]) for rows in _rows(problem, parts)]
+            found.append(_between(blocks, BLOCKS))
     return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Residuals (m,) of one cluster, their Jacobian (m, n), and their standard deviations, 0 if unknown."""
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    noise: FloatArray
+
+
+def _runs(problem: Problem, residuals: FloatArray, j: FloatArray, noise: FloatArray) -> list[_Part]:
+    """Return the parts of the runs; those of repeats add up to their case's."""
+    parts: list[_Part] = []
+    for case in problem.cases:
+        own = [k for k, (owner, _) in enumerate(problem.criteria) if owner is case]
+        channels = {c.signal: c for c in case.channels}
+        repeats: list[list[_Part]] = [[] for _ in case.channels[0].repeats]
+        if not all(problem.criteria[k][1].affine and problem.criteria[k][1].rows is not None for k in own):
+            repeats = [[]]
+        for k in own:
+            rows, criterion = problem.slices[k], problem.criteria[k][1]
+            whole, channel = _Part(residuals[rows], j[rows], noise[rows]), channels[criterion.signal]
+            if criterion.rows is None or len(repeats) == 1:
+                repeats[0].append(whole)
+                continue
+            root = np.sqrt(channel.count[criterion.rows])
+            for y, of_repeat in zip(channel.repeats, repeats, strict=True):
+                there = np.isfinite(y[criterion.rows])
+                reading = criterion.residuals(np.where(np.isfinite(y), y, channel.mean))
+                left = (whole.residuals - problem.root_weights[k] * reading) / root
+                of_repeat.append(_Part(left[there], (whole.jacobian / root[:, None])[there], whole.noise[there]))
+        parts += [_joined(of_repeat) for of_repeat in repeats if of_repeat]
+    return parts
+
+
+def _joined(parts: Sequence[_Part]) -> _Part:
+    return _Part(
+        np.concatenate([p.residuals for p in parts]),
+        np.concatenate([p.jacobian for p in parts]),
+        np.concatenate([p.noise for p in parts]),
+    )
 
 
 def _rows(problem: Problem, parts: int) -> list[Rows]:
@@ -113,27 +157,25 @@ def _rows(problem: Problem, parts: int) -> list[Rows]:
     return [rows for rows in whole if len(rows)]
 
 
-def _between(
-    groups: Sequence[Rows], residuals: FloatArray, j: FloatArray, noise: FloatArray, of: str
-) -> Clustered:
+def _between(groups: Sequence[_Part], of: str) -> Clustered:
     from scipy.special import chdtrc
 
-    count, n = len(groups), j.shape[1]
-    values, vectors = np.linalg.eigh(j.T @ j)
+    count, n = len(groups), groups[0].jacobian.shape[1]
+    values, vectors = np.linalg.eigh(np.sum([g.jacobian.T @ g.jacobian for g in groups], axis=0))
     root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))  # j @ root has orthonormal columns
     moves, expected, pull = np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n, n))
     score, rank = 0.0, 0
-    for k, rows in enumerate(groups):
-        part = j[rows] @ root
+    for k, group in enumerate(groups):
+        part = group.jacobian @ root
         shares, axes = np.linalg.eigh(part.T @ part)
         shares = np.clip(shares, 0.0, 1.0)
-        scores, turned, axes = axes.T @ (part.T @ residuals[rows]), axes, root @ axes
+        scores, turned, axes = axes.T @ (part.T @ group.residuals), axes, root @ axes
         weights = 1.0 / np.sqrt(1.0 - np.minimum(shares, _LEVERAGE))
         moves[k] = axes @ (scores * weights)
         expected[k] = axes**2 @ shares
         pull[k] = (axes * (shares * weights)) @ turned.T
         seen = shares > 1e-9
-        level = np.mean(noise[rows] ** 2)
+        level = np.mean(group.noise**2)
         if level > 0.0:
             score += float(np.sum(scores[seen] ** 2 / shares[seen])) / float(level)
             rank += int(np.sum(seen))

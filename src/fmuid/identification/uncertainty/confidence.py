@@ -17,8 +17,8 @@ from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.uncertainty.active_constraints import Active, active_constraints, tangent_space
 from fmuid.identification.uncertainty.clusters import (
     CHANCE,
-    EXPERIMENTS,
     PLAIN,
+    RUNS,
     Clustered,
     clustered,
     without_moves,
@@ -33,7 +33,7 @@ _DOUBTED = 0.01  # significance at which residuals contradict a given sigma
 _MISSED, _LARGE = 1e-6, 4.0  # p-value, and mean square in sigmas, of a run that the model does not follow
 _EXPLODED = 100.0  # growth of sensitivities over a run at which segments help
 _CHAOTIC = 1e-3  # relative scatter of predictions under tiny changes of the parameters
-_FEW = 2.0  # degrees of freedom that the scatter between experiments needs to be known
+_FEW = 2.0  # degrees of freedom that the scatter between runs needs to be known
 _TWO = 0.01  # two clusters have an interval that is six times as wide
 _COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
@@ -215,8 +215,8 @@ class _Scatter:
     parameters: int
     robust: Mapping[int, Clustered] = field(default_factory=dict)
     plain: frozenset[int] = frozenset()  # those whose scatter between clusters is plainly larger
-    experiments: int = 0
-    few: tuple[int, ...] = ()  # those whose scatter between experiments is unknown
+    runs: int = 1
+    few: tuple[int, ...] = ()  # those whose scatter between runs is unknown
 
 
 def _scatter(
@@ -259,9 +259,10 @@ def _scatter(
     scatter = by(covariance, freedom)
     if clusters:
         scatter = _by_clusters(scatter, clusters, _within(problem, here, j, bread, covariance))
-    between = np.max([c.degrees for c in clusters if c.of == EXPERIMENTS] or np.zeros((1, j.shape[1])), axis=0)
-    few = [k for k in range(j.shape[1]) if between[k] < _FEW and k not in scatter.robust]
-    return replace(scatter, experiments=len(problem.cases), few=tuple(few))
+    between = next((c for c in clusters if c.of == RUNS), None)
+    informed = set() if between is None else set(np.flatnonzero(between.degrees >= _FEW).tolist())
+    few = sorted(set(range(j.shape[1])) - informed - scatter.robust.keys())
+    return replace(scatter, runs=1 if between is None else between.clusters, few=tuple(few))
 
 
 def _within(
@@ -340,10 +341,10 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Seque
             "larger than their residuals explain"
         )
     if scatter.few and any(map(_missed, scatter.whiteness)):
-        count = "1 experiment does" if scatter.experiments == 1 else f"{scatter.experiments} experiments do"
+        count = "1 run does" if scatter.runs == 1 else f"{scatter.runs} runs do"
         notes.append(
             f"the residuals are more than white noise, and {count} not show how much estimates differ between "
-            f"experiments: intervals may be too narrow: {', '.join(names[k] for k in scatter.few)}"
+            f"runs: intervals may be too narrow: {', '.join(names[k] for k in scatter.few)}"
         )
     if fixed:
         notes.append(f"no standard error, because the active constraints alone determine: {', '.join(fixed)}")
