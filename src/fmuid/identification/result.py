@@ -97,8 +97,8 @@ class StageResult:
     ----------
     name, status, message
         Name of the stage, and how it ended.
-    solver, why
-        The solver, and why it was chosen.
+    solver, why, links
+        The solver, why it was chosen, and the solvers of a chain with the cost that each reached.
     estimates, parameters
         Estimates of the free parameters, and the values of all parameters after the stage.
     experiments, criteria
@@ -109,8 +109,8 @@ class StageResult:
         Number of evaluations, how many of them failed, and the time they took.
     starts, profiles, spread, front, posterior
         Outcomes of starts, profiles, spreads of criteria, Pareto front and posterior, where they were requested.
-    uncertainty, ties, links
-        Covariance of the estimates, tied parameters, and what follows for other parameters.
+    uncertainty, ties
+        Covariance of the estimates, and formulas of tied parameters.
     machines
         Differences between machines.
     unexplained
