@@ -27,7 +27,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-experiments discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example compliance screenshots docs release clean
+.PHONY: all setup fmus coupled test test-all test-reference test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-experiments discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example compliance screenshots docs release clean
 all: identify
 
 setup: $(READY)
@@ -127,6 +127,10 @@ ABREAST := --numprocesses 2 --dist loadfile
 
 test: lint
 	$(BIN)/pytest $(ABREAST) -m "not slow and not browser"
+
+# The tests of the actuator on its models in pure Python, as where there is no C compiler.
+test-reference: $(DEVELOPER)
+	$(BIN)/pytest --reference-models tests/reference -m "not slow"
 
 # The local page, looked at with Chromium; skipped where it is missing.
 test-page: $(DEVELOPER)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,10 @@ import pytest
 from fmu_build.front.standard_folders import standard_folders
 from fmuid.core.campaign import ModelSource
 from fmuid.diagnosis.variants import carrier
+from fmuid.reference import reference_fmu
+from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import flat_model
+from fmuid.simulation.simulator import Simulator
 from tests.every_law import every_law
 
 ROOT = Path(__file__).parents[1]
@@ -26,6 +30,30 @@ os.environ["MODELICAPATH"] = ""  # tests ask for a tool's libraries explicitly
 os.environ["FMU_BUILD_CFLAGS"] = "-O0"  # most FMUs of tests take longer to compile than to simulate
 ACTUATOR = ("FixedShaft", "FreeShaft", "EccentricLoad")
 SETUPS = (*ACTUATOR, "LinearAxisOpenLoop", "LinearAxisClosedLoop")
+COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
+_FALLBACK = pytest.StashKey[str]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    text = "use the pure-Python reference models of the actuator, as where there is no C compiler"
+    parser.addoption("--reference-models", action="store_true", help=text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    reason = (
+        "--reference-models" if config.getoption("--reference-models") else "" if COMPILER else "no C compiler"
+    )
+    config.stash[_FALLBACK] = reason
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    reason = config.stash[_FALLBACK]
+    return f"note: the actuator's tests run on its pure-Python reference models ({reason})" if reason else None
+
+
+def reference_models(config: pytest.Config) -> bool:
+    """Whether tests run without the actuator's FMUs."""
+    return bool(config.stash[_FALLBACK])
 
 
 @contextmanager
@@ -89,13 +117,29 @@ def build_setups(names: tuple[str, ...], fmi: str = "2") -> Mapping[str, Path]:
 
 
 @pytest.fixture(scope="session")
-def fmus() -> Mapping[str, Path]:
+def _compiled(request: pytest.FixtureRequest) -> None:
+    """Skip a test for which a reference model is not enough."""
+    if reference_models(request.config):
+        pytest.skip("needs FMUs of the actuator, not only its reference models")
+
+
+@pytest.fixture(scope="session")
+def fmus(_compiled: None) -> Mapping[str, Path]:
     """The FMUs of the shipped setups by name, built from their Modelica sources unless they are up to date."""
     return build_setups(SETUPS)
 
 
 @pytest.fixture(scope="session")
-def effect_fmus(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
+def shipped(request: pytest.FixtureRequest) -> Callable[[str], Simulator]:
+    """A shipped setup by name: its FMU, or its reference model where FMUs cannot be built."""
+    if reference_models(request.config):
+        return reference_fmu
+    fmus = request.getfixturevalue("fmus")
+    return lambda name: load_fmu(fmus[name])
+
+
+@pytest.fixture(scope="session")
+def effect_fmus(_compiled: None, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     """The FMUs of the actuator with every law at every port, as far as they are off at no cost, by name."""
     found = {}
     with mock.patch.dict(os.environ, XDG_CACHE_HOME=str(ROOT / "build" / "cache")):
@@ -106,6 +150,6 @@ def effect_fmus(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
 
 
 @pytest.fixture(scope="session")
-def fmi3_fmus() -> Mapping[str, Path]:
+def fmi3_fmus(_compiled: None) -> Mapping[str, Path]:
     """One setup of each family for FMI 3.0."""
     return build_setups(("EccentricLoad", "LinearAxisClosedLoop"), "3")

@@ -6,9 +6,9 @@ import fmpy
 import numpy as np
 import pytest
 
-from benchmarks.reference import reference_fmu
-from benchmarks.reference.servo_pendulum import friction_budget
 from fmu_build import build
+from fmuid.reference import reference_fmu
+from fmuid.reference.servo_pendulum import friction_budget
 from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
 from tests.go1.conftest import LAW_M6, RIG, SETUPS, servo_task

@@ -6,15 +6,18 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.reference import reference_fmu
-from fmuid.simulation.fmu import load_fmu
+from fmuid.reference import reference_fmu
 from fmuid.simulation.simulator import Simulator
+from tests.conftest import reference_models
 
 
-@pytest.fixture(params=["reference", "fmu"])
-def model(request) -> Callable[[str], Simulator]:
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "model" in metafunc.fixturenames:
+        kinds = ["reference"] if reference_models(metafunc.config) else ["reference", "fmu"]
+        metafunc.parametrize("model", kinds, indirect=True)
+
+
+@pytest.fixture
+def model(request: pytest.FixtureRequest, shipped: Callable[[str], Simulator]) -> Callable[[str], Simulator]:
     """A shipped setup by name."""
-    if request.param == "reference":
-        return reference_fmu
-    fmus = request.getfixturevalue("fmus")
-    return lambda name: load_fmu(fmus[name])
+    return reference_fmu if request.param == "reference" else shipped

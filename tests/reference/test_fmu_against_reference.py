@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from benchmarks.reference import reference_fmu
+from fmuid.reference import reference_fmu
 from fmuid.simulation.simulator import Task
 from tests.conftest import build_setups
 from tests.reference import experiments as e

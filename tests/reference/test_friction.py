@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.reference.friction_law import loss_table, sliding_torque
+from fmuid.reference.friction_law import loss_table, sliding_torque
 from fmuid.simulation.simulator import Task
 from tests.reference.experiments import CONSTANT_FRICTION, fixed_shaft
 

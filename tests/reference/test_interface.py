@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.reference import MODELS, reference_fmu
 from fmuid.core.errors import FmuError, SimulationError
+from fmuid.reference import MODELS, reference_fmu
 from fmuid.simulation.simulator import Simulator, Task
 from tests.reference.experiments import LOSSY, axis_closed_loop, fixed_shaft
 

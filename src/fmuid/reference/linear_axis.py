@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from benchmarks.reference.friction_law import bristle
-from benchmarks.reference.reference_fmu import Equations, Values, computed, input_variable, parameter
+from fmuid.reference.friction_law import bristle
+from fmuid.reference.reference_fmu import Equations, Values, computed, input_variable, parameter
 
 
 class _OpenLoop:

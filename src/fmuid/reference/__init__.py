@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from benchmarks.reference.actuator import eccentric_load, fixed_shaft, free_shaft
-from benchmarks.reference.linear_axis import linear_axis_closed_loop, linear_axis_open_loop
-from benchmarks.reference.reference_fmu import Equations, ReferenceFmu
-from benchmarks.reference.servo_pendulum import position_driven, torque_driven
 from fmuid.core.errors import FmuError
+from fmuid.reference.actuator import eccentric_load, fixed_shaft, free_shaft
+from fmuid.reference.linear_axis import linear_axis_closed_loop, linear_axis_open_loop
+from fmuid.reference.reference_fmu import Equations, ReferenceFmu
+from fmuid.reference.servo_pendulum import position_driven, torque_driven
 
 __all__ = ["MODELS", "ReferenceFmu", "reference_fmu"]
 

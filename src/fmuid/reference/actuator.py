@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import sin
 
-from benchmarks.reference.friction_law import bristle, loss_table, sliding_torque
-from benchmarks.reference.reference_fmu import Equations, Values, computed, input_variable, parameter
+from fmuid.reference.friction_law import bristle, loss_table, sliding_torque
+from fmuid.reference.reference_fmu import Equations, Values, computed, input_variable, parameter
 from fmuid.simulation.simulator import Variable
 
 ROW_SPEEDS = (0.0, 10.0, 15.0, 20.0, 30.0, 100.0, 300.0)
