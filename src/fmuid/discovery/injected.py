@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,12 @@ from fmu_build.instrument import State
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.subject import Subject
-from fmuid.diagnosis.variants import built_with, left_out
+from fmuid.diagnosis.variants import built_with, left_out, model_exchange
+from fmuid.diagnosis.variants import with_laws as at_states
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Term
-from fmuid.effects.effect import Effect, Unknown
+from fmuid.effects.effect import Catalogue, Effect, Unknown
+from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.segmented import in_place_of
 from fmuid.simulation.simulator import Simulator
 
@@ -138,9 +141,9 @@ class Law:
         )
 
 
-def free_name(flats: Iterable[FlatModel], port: str, word: str) -> str:
+def free_name(models: Iterable[FlatModel | Fmu], port: str, word: str) -> str:
     """Return a name for a law at a port: a model that has laws of earlier diagnoses keeps their names."""
-    taken = {n for flat in flats for n in flat.variables}
+    taken = {n for model in models for n in model.variables}
     words = (f"{word}{k or ''}" for k in (0, *range(2, len(taken) + 3)))
     return next(w for w in words if not any(n.startswith(f"{port}.{w}_") for n in taken))
 
@@ -190,6 +193,12 @@ def of_second_order(effect: Effect) -> Effect | None:
     return replace(effect, states=tuple(states)) if len(states) > len(effect.states) else None
 
 
+def _built(model: ModelSpec, catalogue: Catalogue) -> Path:
+    """Build a model with all laws of a catalogue, if need be at the states of an FMU without source."""
+    fmu = model_exchange(model)
+    return built_with(model, catalogue) if fmu is None else at_states(fmu, catalogue)[1]
+
+
 def with_laws(
     subject: Subject,
     models: Mapping[str, ModelSpec],
@@ -206,10 +215,8 @@ def with_laws(
     """
     kept = {id: e for id, e in subject.catalogue.effects.items() if id in beside}
     catalogue = replace(subject.catalogue, effects=kept | {law.id: law for law in laws})
-    simulators = {
-        setup: load(replace(models[setup], fmu=built_with(models[setup], catalogue)))
-        for setup in {case.setup for case in subject.model.cases}
-    }
+    own = {setup: models[setup] for setup in {case.setup for case in subject.model.cases}}
+    simulators = {setup: load(replace(spec, fmu=_built(spec, catalogue))) for setup, spec in own.items()}
     variables = {name for simulator in simulators.values() for name in simulator.variables}
     for why, (id, *_) in left_out([models[setup] for setup in simulators], catalogue, variables).items():
         raise ModelicaError(f"the model cannot be built with '{id}': {why}")

@@ -27,15 +27,18 @@ from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
+from fmuid.diagnosis.variants import model_exchange
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement
-from fmuid.discovery.find_law import LEFT, flat_models, noise_draws, pruned
+from fmuid.discovery.find_law import LEFT, noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
-from fmuid.discovery.places import Spot, spot
+from fmuid.discovery.places import Spot, spot, spot_at_state
 from fmuid.discovery.selection import DRIVEN, Chosen
 from fmuid.discovery.terms import Quantity, Term, names_in, table
 from fmuid.effects.effect import Effect
 from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import LOGGED
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 _KNOTS = (3, 5, 9, 17)  # of a table over one variable; each set halves the distances of the one before
@@ -83,7 +86,7 @@ def tabulate(
     Parameters
     ----------
     models
-        Models by setup; those with Modelica source can contain a table.
+        Models by setup; those with Modelica source, and FMUs for model exchange, can contain a table.
     load
         Loads a model.
     say
@@ -96,13 +99,12 @@ def tabulate(
     finished = verdict.kind == "complete" or (bool(found.surviving) and verdict.rest is None)
     if finished or not found.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
         return None
-    flats = flat_models(subject, models)
-    if flats is None:
+    setups = dict.fromkeys(case.setup for case in subject.model.cases)
+    inside = [_inside(models[s]) for s in setups if s in models]
+    if len(inside) < len(setups) or None in inside or inside[0] is None:
         return None
     null = noise_draws(subject, found.nominal, seed).null(nominal_basis(found.nominal.fit, subject.observed), ())
-    alone, *beside = (
-        _Search(found, base, models, load, next(iter(flats.values())), null) for base in (found.nominal, *named)
-    )
+    alone, *beside = (_Search(found, base, models, load, inside[0], null) for base in (found.nominal, *named))
     open_ = verdict.kind != "effect" or verdict.provisional
     searches = [*(s.refined for s in beside), *([alone.learned] if open_ else [])]
     searches += [s.learned for s in beside] if open_ else []
@@ -146,7 +148,7 @@ class _Search:
     base: Fitted
     models: Mapping[str, ModelSpec]
     load: Callable[[ModelSpec], Simulator]
-    flat: FlatModel
+    inside: FlatModel | Fmu
     null: Null
 
     def refined(self) -> Tabulated | None:
@@ -182,7 +184,13 @@ class _Search:
         port = self.found.subject.catalogue.ports.get(name)
         if port is None or not port.added or port.input is None:
             return None
-        here = spot(name, self.flat, self.found.subject.model, self.base.fit.values)
+        return self._along(name, self.found.subject, self.base.fit.values)
+
+    def _along(self, name: str, subject: Subject, values: Mapping[str, float]) -> Spot | None:
+        """Return a place with all quantities along the trajectories of a model."""
+        if isinstance(self.inside, Fmu):
+            return spot_at_state(name, self.inside, subject.model, values)
+        here = spot(name, self.inside, subject.model, values)
         return None if here is None else replace(here, courses=here.around)
 
     def _over_one(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
@@ -248,8 +256,7 @@ class _Search:
     def _again(self, before: _Built, count: int) -> tuple[_Proposed, tuple[float, ...]]:
         """Return a table over the same variable with knots along the trajectories of the model that has it."""
         (x,), values = before.over, before.fitted.fit.values
-        here = spot(before.law.spot.port.name, self.flat, before.subject.model, values)
-        place = before.law.spot if here is None else replace(here, courses=here.around)
+        place = self._along(before.law.spot.port.name, before.subject, values) or before.law.spot
         fine = _knots(place, x, _KNOTS[-1])
         at = fine[list(_some(fine, count))]
         sizes = np.interp(at, before.knots[0], [values[n] for n in before.law.sizes])
@@ -288,7 +295,7 @@ class _Search:
         place, port = built.law.spot, built.law.spot.port
         words = " and ".join(self._in_words(q, place) for q in built.over)
         word = "refinement" if of else "learned_table"
-        name = free_name([self.flat], port.name, word)
+        name = free_name([self.inside], port.name, word)
         law = replace(built.law, base=f"{port.name}.{name}")
         what = f"table over {words} that refines the shape of {of}" if of else f"learned table over {words}"
         effect = _effect(law, f"{name}@{port.name}({words})", f"{port.name}: {what}")
@@ -333,6 +340,11 @@ class _Search:
         words = quantity_words(place.port.domain, place.port.units[0])
         signals = {c.variable: c.signal for case in self.found.subject.model.cases for c in case.channels}
         return words.get(x.name) or signals.get(x.name, x.name)
+
+
+def _inside(model: ModelSpec) -> FlatModel | Fmu | None:
+    """Return what shows a model's inside: its source, or its FMU for model exchange; None if nothing does."""
+    return model_exchange(model) if model.source is None else flat_model(model.source)
 
 
 def _better(before: Fitted, after: Fitted) -> bool:

@@ -12,8 +12,10 @@ from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import Port, find_ports
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.diagnosis.variants import observed_states, state_places
 from fmuid.discovery.terms import Kind, Quantity, Term, library
 from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
+from fmuid.simulation.fmu import Fmu
 
 _MOVES = 1e-6  # relative to its size: a quantity that moves less counts as constant
 _SAME = 1e-4  # time series whose correlation is within this of 1 are the same
@@ -90,6 +92,27 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
     return Spot(
         port, max(flows), tuple(courses), time, tuple(terms), tuple(_apart(quantities, around)), tuple(around)
     )
+
+
+def spot_at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
+    """Return a place at a state of an FMU without source, for tables over its states and inputs.
+
+    None if nothing happens there.
+    """
+    known = set.intersection(*(set(case.simulator.variables) for case in model.cases))
+    wanted = [n for n in observed_states(fmu) if n in known]
+    time = tuple(case.time for case in model.cases)
+    courses = [dict(zip(wanted, row, strict=True)) for row in model.trajectories(values, wanted)]
+    found = next((p for p in state_places(fmu, time, courses)[0] if p.port.name == name), None)
+    if found is None:
+        return None
+    inputs = [{n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()} for case in model.cases]
+    around = tuple(course | driven for course, driven in zip(courses, inputs, strict=True))
+    here = [n for n in (*found.names.values(), *fmu.states, *inputs[0]) if all(n in one for one in around)]
+    units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
+    every = [_quantity(n, n, units.get(n, "1"), around) for n in dict.fromkeys(here)]
+    quantities = tuple(_apart([q for q in every if q is not None], around))
+    return Spot(found.port, found.sizes["F"], around, time, (), quantities, around)
 
 
 def _load_probe(port: Port, ports: Sequence[Port]) -> tuple[str, ...]:
