@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmu_build.build import build
 from fmuid.discovery.terms import Quantity, table
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 
@@ -28,7 +29,7 @@ def window(temperature):
     return 80.0 * np.exp(-(((temperature - 305.0) / 3.0) ** 2))
 
 
-def diagnosed(folder, loss, *, repeats=1, runs=4):
+def diagnosed(folder, loss, *, model=None, repeats=1, runs=4):
     """Diagnose a room that loses more heat than its model; the last run is kept for validation."""
     rng = np.random.default_rng(1)
     time = STEP * np.arange(SAMPLES)
@@ -49,8 +50,9 @@ def diagnosed(folder, loss, *, repeats=1, runs=4):
             paths.append(folder / f"day_{run}_{repeat}.csv")
             header = "time,P [W],T_out [K],wind [m/s],T [K]"
             np.savetxt(paths[-1], rows, "%.6f", ",", header=header, comments="")
-    source, out = folder / "Room.mo", folder / "out"
-    source.write_text(ROOM)
+    source, out = model or folder / "Room.mo", folder / "out"
+    if model is None:
+        source.write_text(ROOM)
     fmuid.diagnose(fmuid.start(paths, model=source, out=folder / "room"), out=out)
     answer = json.loads((out / "diagnosis.json").read_text())
     jsonschema.Draft202012Validator(SCHEMA).validate(answer)
@@ -96,6 +98,67 @@ def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path):
     )
     assert (out / "figures" / "tables.png").is_file()
     assert "max(0, min(" in (out / "corrected" / "RoomCorrected.mo").read_text()
+
+
+SHAFT = """
+model Shaft "A shaft that a motor turns"
+  parameter Real J(unit = "kg.m2") = 0.01 "Inertia";
+  parameter Real d(unit = "N.m.s/rad") = 0.002 "Friction of the oil";
+  input Real tau(unit = "N.m") "Motor";
+  output Real w(unit = "rad/s", start = 0, fixed = true) "Speed";
+equation
+  J*der(w) = tau - d*w;
+end Shaft;
+"""
+
+
+@pytest.mark.slow
+def test_a_friction_of_another_shape_is_refined_and_keeps_its_name(tmp_path):
+    """Dry friction that is least at a speed of 12 rad/s, not near standstill."""
+    rng, step, paths = np.random.default_rng(1), 0.01, []
+    time = step * np.arange(250)
+    for run in range(4):
+        torque = (0.6 + 0.25 * run) * np.sin(2 * np.pi * time * (0.35 + 0.1 * run))
+        torque += 0.3 * np.sin(2 * np.pi * time * (1.3 - 0.2 * run) + run)
+        speed, value = np.empty(len(time)), 0.0
+        for k in range(len(time)):
+            speed[k] = value
+            for _ in range(40):
+                dip = 1.0 - 0.5 * np.exp(-(((abs(value) - 12.0) / 5.0) ** 2))
+                value += step / 40 * (torque[k] - 0.0025 * value - 0.2 * np.tanh(value / 0.1) * dip) / 0.011
+        for repeat in range(2):
+            rows = np.column_stack([time, torque, speed + 0.02 * rng.standard_normal(len(time))])
+            paths.append(tmp_path / f"run_{run}_{repeat}.csv")
+            np.savetxt(paths[-1], rows, "%.6f", ",", header="time,tau [N.m],w [rad/s]", comments="")
+    source, out = tmp_path / "Shaft.mo", tmp_path / "out"
+    source.write_text(SHAFT)
+    fmuid.diagnose(fmuid.start(paths, model=source, out=tmp_path / "shaft"), out=out)
+    answer = json.loads((out / "diagnosis.json").read_text())
+    jsonschema.Draft202012Validator(SCHEMA).validate(answer)
+    (table_,) = answer["refinements"]
+    assert not table_["learned"]
+    assert table_["law"] in answer["best"]["effects"]
+    assert table_["law"].endswith("@w.balance")
+    assert table_["variable"] == "speed"
+    assert table_["id"] not in answer["best"]["effects"]
+    assert answer["corrected"] == [*answer["best"]["effects"], table_["id"]]
+    assert answer["best"]["closure"]["held_out"] > 0.9
+    assert answer["corrected_differs"] < 0.05
+    assert "The plant's law has another shape than" in answer["verdict"]["text"]
+
+
+@pytest.mark.slow
+def test_the_state_of_an_fmu_without_source_gets_a_table(tmp_path):
+    source = tmp_path / "Room.mo"
+    source.write_text(ROOM)
+    answer, out = diagnosed(
+        tmp_path, lambda value, wind: window(value), model=build(source, "Room", tmp_path), repeats=2
+    )
+    (learned,) = answer["refinements"]
+    assert learned["id"] == "learned_table@der(T)(T)"
+    assert answer["best"]["closure"]["held_out"] > 0.7
+    assert answer["corrected_differs"] < 0.05
+    assert (out / "corrected" / "Room.fmu").is_file()
 
 
 def test_a_model_without_a_gap_gets_no_table(tmp_path):

@@ -8,7 +8,14 @@ from report_page import Page
 from fmuid.diagnosis.corrected import read_diagnosis
 from fmuid.diagnosis.summary import facts, likeliest, sentences, summary, verdict_text
 from fmuid.report import DiagnosisPictures, write_diagnosis_report
-from fmuid.report.diagnosis_figures import effects_figure, effects_table, gap_figure, range_text, seen_table
+from fmuid.report.diagnosis_figures import (
+    effects_figure,
+    effects_table,
+    gap_figure,
+    range_text,
+    seen_table,
+    tables_figure,
+)
 from fmuid.report.interactive import specification
 
 
@@ -287,6 +294,56 @@ def test_a_law_found_is_said_with_its_formula_and_drawn(tmp_path):
         "A law found at body explains it: a flow of 3 W * tanh((p - 293.15)/15 K). With it, 0.96 of the gap is closed"
         " on held-out runs (0.90 to 1.00)."
     )
+
+
+def with_table(**changes):
+    axis = {"variable": "temperature", "unit": "K", "knots": [290.0, 300.0, 310.0]}
+    table = {
+        "id": "learned_table@body(temperature)",
+        "law": "learned_table@body(temperature)",
+        "learned": True,
+        "port": "body",
+        "variable": "temperature",
+        "table": {"axes": [axis], "values": [0.0, 2.0, -3.0], "unit": "W"},
+        "effect": {},
+    } | changes
+    best = {
+        "effects": [table["law"]],
+        "refinements": [table],
+        "closure": {"train": 0.9, "held_out": 0.8, "interval": [0.7, 0.9], "physical": {}},
+        "gap": 0.4,
+    }
+    return unknown(None) | {"best": best, "refinements": [table]}
+
+
+def test_a_learned_table_is_said_and_drawn(tmp_path):
+    diagnosis = with_table()
+    assert "Learned table: 3 values up to 3 W at body, for temperature from 290 to 310 K" in summary(diagnosis)
+    assert "Closed on held-out data with the table: 0.80 (0.70 to 0.90)" in summary(diagnosis)
+    assert sentences(diagnosis)[-1] == (
+        "A table learned at body over temperature predicts it, which is no law: with it, 0.80 of the gap is closed"
+        " (0.70 to 0.90) on data that were not used."
+    )
+    write_diagnosis_report(diagnosis, tmp_path, campaign="Block")
+    assert (tmp_path / "figures" / "tables.png").is_file()
+
+
+def test_a_refinement_is_said_under_the_name_of_its_law():
+    diagnosis = with_table(id="refinement@body(temperature)", law="loss@body", learned=False)
+    assert sentences(diagnosis)[-1].startswith(
+        "The plant's law has another shape than loss at body: with a table over temperature that refines it, 0.80"
+    )
+
+
+def test_a_table_over_two_variables_has_a_line_for_each_value_of_the_second(tmp_path):
+    axes = [{"variable": n, "unit": "1", "knots": [0.0, 1.0, 2.0][:k]} for n, k in (("a", 3), ("b", 2))]
+    values = [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
+    diagnosis = with_table(variable="a and b", table={"axes": axes, "values": values, "unit": "W"})
+    figure = tables_figure(diagnosis)
+    assert figure is not None
+    (panel,) = figure.panels
+    assert [line.label for line in panel.series] == ["b = 0", "b = 1"]
+    assert [list(line.y) for line in panel.series] == [[0.0, 2.0, 4.0], [1.0, 3.0, 5.0]]
 
 
 def test_without_a_law_the_reason_is_said(tmp_path):

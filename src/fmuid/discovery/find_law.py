@@ -31,7 +31,7 @@ from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
-LEFT = 1.0  # noise floors that a law may leave: beyond, its rest is seen in a single run, and it is not the law
+_LEFT = 1.0  # noise floors that a law may leave: beyond, its rest is seen in a single run, and it is not the law
 _PLACES = 4  # number of places examined: those where a course over time is likeliest
 _TRIED = (6, 4)  # laws per round that are refitted in the rebuilt model: with one further term, and with two
 _LED_OUT = 2  # laws that are approached over growing horizons: those that fit best
@@ -126,9 +126,9 @@ def noise_draws(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
     return draw_noise(subject.observed, None if isinstance(predicted, SimulationError) else predicted, seed=seed)
 
 
-def pruned(subject: Subject, fitted: Fitted) -> Fitted:
-    """Leave out the effects that the last one has made unnecessary."""
-    for name in fitted.effects[:-1]:
+def pruned(subject: Subject, fitted: Fitted, kept: str = "") -> Fitted:
+    """Leave out the effects that the last one has made unnecessary, but not the one that is to be `kept`."""
+    for name in (n for n in fitted.effects[:-1] if n != kept):
         simpler = without(subject, fitted, name)
         if simpler is not None and (simpler.gap <= GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)):
             fitted = simpler
@@ -319,7 +319,7 @@ class _Search:
         if gained <= error or (closed < CLOSURE_THAT_HOLDS and not weak):
             return f"{text}, too little (it takes {CLOSURE_THAT_HOLDS:g})"
         left = f"{text}, but leaves {law.fitted.gap:.2g} times the noise"
-        if law.fitted.gap > LEFT:
+        if law.fitted.gap > _LEFT:
             return left
         if not self.finished(law) and likelier(self.found.entered, self.found.nominal, law.fitted):
             return f"{left}, and something else is far likelier"

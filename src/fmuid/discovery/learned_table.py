@@ -29,7 +29,7 @@ from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.variants import model_exchange
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement
-from fmuid.discovery.find_law import LEFT, noise_draws, pruned
+from fmuid.discovery.find_law import noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
 from fmuid.discovery.places import Spot, spot, spot_at_state
 from fmuid.discovery.selection import DRIVEN, Chosen
@@ -117,7 +117,7 @@ def tabulate(
             continue
         if table is not None and all(_better(b, table.fitted) for b in named):
             tables.append(table)
-            if table.fitted.held_out.gap <= LEFT:
+            if closure(found.nominal.held_out, table.fitted.held_out) >= decide.CLOSURE_BEYOND_DOUBT:
                 break
     return min(tables, key=lambda t: t.fitted.held_out.mean, default=None)
 
@@ -175,9 +175,7 @@ class _Search:
             best = dict.fromkeys(p.over[0] for p in sorted(ones, key=lambda p: p.held_out.mean))
             proposed += [*ones, *self._over_two(place, [*best][:_PAIRED])]
         built = self._built(proposed)
-        if built is None:
-            return None
-        return self._told(replace(built, fitted=pruned(built.subject, built.fitted)))
+        return None if built is None else self._told(built)
 
     def _spot(self, name: str) -> Spot | None:
         """Return a place with all that a table there may be over; None if it has no input."""
@@ -285,7 +283,7 @@ class _Search:
 
     def _told(self, built: _Built, of: str = "") -> Tabulated | None:
         """Return a table with its final names, if it closes enough of the gap, and beyond chance."""
-        nominal, fitted = self.found.nominal, built.fitted
+        nominal, fitted = self.found.nominal, pruned(built.subject, built.fitted, of)
         lows = [
             closure_interval(nominal.held_out, fitted.held_out, null=self.null)[0],
             closure_interval(self.base.held_out, fitted.held_out)[0],
@@ -308,7 +306,7 @@ class _Search:
         subject = with_laws(self.found.subject, self.models, self.load, [effect], fitted.effects[:-1])
         best = Closing(subject, self.found.nominal, self.null).best(fitted)
         if of:
-            best = replace(best, effects=self.base.effects, parameters=self._covering(best.parameters))
+            best = replace(best, effects=best.effects[:-1], parameters=self._covering(best.parameters))
         sizes = np.array([values[n] for n in law.sizes]).reshape([len(k) for k in built.knots])
         refinement = Refinement(
             effect=of or effect.id,

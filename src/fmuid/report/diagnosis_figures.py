@@ -330,7 +330,8 @@ def tables_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
     for one in diagnosis.get("refinements") or ():
         (x, *others), values = one["table"]["axes"], np.array(one["table"]["values"])
         rows = values.T if others else [values]
-        labels = [f"{o['variable']} = {at:.4g} {o['unit']}" for o in others for at in o["knots"]] or [one["id"]]
+        texts = [f"{o['variable']} = {at:.4g} {pretty_unit(o['unit'])}" for o in others for at in o["knots"]]
+        labels = [text.strip() for text in texts] or [one["id"]]
         lines = [
             Series(label, np.array(x["knots"]), row, _LAWS[min(k, len(_LAWS) - 1)])
             for k, (label, row) in enumerate(zip(labels, rows, strict=True))
