@@ -7,9 +7,10 @@ law in the model, it refines the shape of that law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,9 +23,10 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
-from fmuid.diagnosis.cross_validation import Null, advantage, closure, closure_interval
+from fmuid.diagnosis.cross_validation import HeldOut, Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.variants import model_exchange
@@ -41,12 +43,15 @@ from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
-_KNOTS = (3, 5, 9, 17)  # of a table over one variable; each set halves the distances of the one before
+_KNOTS = (3, 5, 9)  # of a table over one variable; each set halves the distances of the one before
+_FINER = (*_KNOTS, 17)  # the same along the trajectories of a model that has a table
+_EVEN = 0.25  # least distance of knots, as a share of that of even ones: steeper tables make a model stiff
 _KNOTS_OF_TWO = ((3, 3), (5, 3), (3, 5), (5, 5))  # of a table over two: no more values than a fine one over one
 _PLACES = 2  # places examined: those where a course over time is likeliest
 _PAIRED = 3  # variables at a place from which pairs are made: those that predict best alone
-_BUILT = 4  # tables that are built into the model: those that predict best as driven inputs
+_BUILT = 2  # variables whose tables are built into the model: those that predict best as driven inputs
 _STEPS = 1  # of refits without an experiment, after the linear one: tables are linear in their values
+_COARSE = 0.01  # share of the cost that an iteration of a refit has to gain
 _INTERVAL = 1.645  # standard errors: 90 %
 
 
@@ -133,6 +138,14 @@ class _Built:
     subject: Subject
     fitted: Fitted
 
+    @property
+    def held_out(self) -> HeldOut:
+        return self.fitted.held_out
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        return self.law.terms
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Proposed(Chosen):
@@ -140,6 +153,33 @@ class _Proposed(Chosen):
 
     over: tuple[Quantity, ...]
     knots: tuple[FloatArray, ...]
+
+
+_Table = TypeVar("_Table", _Built, _Proposed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Around:
+    """A model at whose place tables are judged as driven inputs, and what they are judged beside: a linear fit."""
+
+    subject: Subject
+    fit: Refit
+    beside: Refit
+
+    @classmethod
+    def without(cls, built: _Built) -> _Around:
+        """Return a model with a table, beside which tables are judged that take its place."""
+        fit, names = built.fitted.fit, built.law.sizes
+        own = np.array([u.name in names for u in fit.unknowns])
+        values = np.array([fit.values[u.name] for u in fit.unknowns])
+        beside = replace(
+            fit,
+            unknowns=tuple(u for u in fit.unknowns if u.name not in names),
+            values={n: v for n, v in fit.values.items() if n not in names},
+            residuals=tuple(r - j[:, own] @ values[own] for r, j in zip(fit.residuals, fit.jacobian, strict=True)),
+            jacobian=tuple(j[:, ~own] for j in fit.jacobian),
+        )
+        return cls(built.subject, fit, beside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,14 +231,18 @@ class _Search:
         here = spot(name, self.inside, subject.model, values)
         return None if here is None else replace(here, courses=here.around)
 
-    def _over_one(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
+    def _over_one(
+        self, place: Spot, over: Sequence[Quantity], around: _Around | None = None, counts: Sequence[int] = _KNOTS
+    ) -> Iterator[_Proposed]:
         """Yield tables over one variable, with more and more knots."""
         for x in over:
-            fine = _knots(place, x, _KNOTS[-1])
-            columns = self._moved(place, hats(_courses(place, x), fine))
-            for knots in dict.fromkeys(_some(fine, n) for n in _KNOTS):
+            fine = _knots(place, x, counts[-1])
+            columns = self._moved(place, hats(_courses(place, x), fine), around)
+            for knots in dict.fromkeys(_some(fine, n) for n in counts):
                 at = fine[list(knots)]
-                yield from self._judged(place, (x,), (at,), columns, np.array(hats([fine], at))[:, 0].T)
+                yield from self._judged(
+                    place, (x,), (at,), columns, np.array(hats([fine], at))[:, 0].T, around=around
+                )
 
     def _over_two(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
         """Yield tables over two variables."""
@@ -213,11 +257,14 @@ class _Search:
                     weights = [np.array(hats([f], a))[:, 0].T for f, a in zip(fine, at, strict=True)]
                     yield from self._judged(place, (x, y), at, columns, np.kron(*weights))
 
-    def _moved(self, place: Spot, basis: Sequence[tuple[FloatArray, ...]]) -> tuple[FloatArray, ...] | None:
+    def _moved(
+        self, place: Spot, basis: Sequence[tuple[FloatArray, ...]], around: _Around | None = None
+    ) -> tuple[FloatArray, ...] | None:
         """Return by how much functions at a place move the residuals, (M_e, B) per experiment."""
-        subject = self.found.subject
-        port = replace(subject.catalogue.ports[place.port.name], magnitude=DRIVEN * place.flow)
-        moved = [m for m in moved_by(subject.model, subject.observed, self.base.fit, port, tuple(basis)) if m]
+        around = around or self._around
+        port = replace(around.subject.catalogue.ports[place.port.name], magnitude=DRIVEN * place.flow)
+        model, observed = around.subject.model, around.subject.observed
+        moved = [m for m in moved_by(model, observed, around.fit, port, tuple(basis)) if m]
         if len(moved) < len(basis):
             return None
         return tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
@@ -229,54 +276,64 @@ class _Search:
         knots: tuple[FloatArray, ...],
         columns: tuple[FloatArray, ...] | None,
         weights: FloatArray,
+        *,
+        around: _Around | None = None,
     ) -> Iterator[_Proposed]:
         """Yield a table, (B, K) `weights` of whose functions make it of those that move the residuals."""
         if columns is None:
             return
         response = Response("", tuple(c @ weights for c in columns))
-        (decoy,) = fit_decoys([response], self.base.fit, self.found.subject.observed)
+        (decoy,) = fit_decoys([response], (around or self._around).beside, self.found.subject.observed)
         sizes = tuple(DRIVEN * place.flow * a for a in decoy.amounts)
         yield _Proposed(place, _terms(over, knots), sizes, decoy.held_out, 0.0, over, knots)
 
-    def _built(self, proposed: Iterator[_Proposed] | Sequence[_Proposed]) -> _Built | None:
-        """Build the most promising tables into the model, and return the simplest of those that predict best."""
-        best = sorted(proposed, key=lambda p: p.held_out.mean)[:_BUILT]
-        best = [p for p in best if advantage(p.held_out, self.base.held_out)[0] > 0.0]
-        if not best:
-            return None
-        built = self._fitted([(p, p.sizes) for p in best])
+    @property
+    def _around(self) -> _Around:
+        return _Around(self.found.subject, self.base.fit, self.base.fit)
+
+    def _built(self, proposed: Iterable[_Proposed]) -> _Built | None:
+        """Build the most promising tables into the model, each of one size, and return the one that predicts best.
+
+        A table over one variable then gets the size and the knots that predict best in the model that has it.
+        """
+        sizes: dict[tuple[str, ...], list[_Proposed]] = {}
+        for p in proposed:
+            sizes.setdefault((p.spot.port.name, *(q.name for q in p.over)), []).append(p)
+        best = sorted(map(_simplest, sizes.values()), key=lambda p: p.held_out.mean)[:_BUILT]
+        built = self._fitted([p for p in best if advantage(p.held_out, self.base.held_out)[0] > 0.0])
         if not built:
             return None
-        first = min(built, key=lambda b: b.fitted.held_out.mean)
-        again = self._fitted([self._again(first, n) for n in _KNOTS]) if len(first.over) == 1 else []
-        return _simplest([*built, *again])
+        first = _simplest(built)
+        return _simplest([first, *self._fitted(self._again(first))])
 
-    def _again(self, before: _Built, count: int) -> tuple[_Proposed, tuple[float, ...]]:
-        """Return a table over the same variable with knots along the trajectories of the model that has it."""
-        (x,), values = before.over, before.fitted.fit.values
-        place = self._along(before.law.spot.port.name, before.subject, values) or before.law.spot
-        fine = _knots(place, x, _KNOTS[-1])
-        at = fine[list(_some(fine, count))]
-        sizes = np.interp(at, before.knots[0], [values[n] for n in before.law.sizes])
-        held_out = before.fitted.held_out
-        return _Proposed(place, _terms((x,), (at,)), (), held_out, 0.0, (x,), (at,)), tuple(map(float, sizes))
+    def _again(self, before: _Built) -> list[_Proposed]:
+        """Return the best size of a table over one variable along the trajectories of the model that has it."""
+        if len(before.over) > 1:
+            return []
+        around, values = _Around.without(before), before.fitted.fit.values
+        place = self._along(before.law.spot.port.name, before.subject, values)
+        resized = [] if place is None else [*self._over_one(place, before.over, around, _FINER)]
+        return [_simplest(resized)] if resized else []
 
-    def _fitted(self, proposed: Sequence[tuple[_Proposed, tuple[float, ...]]]) -> list[_Built]:
+    def _fitted(self, proposed: Sequence[_Proposed]) -> list[_Built]:
         """Put tables into the model, each while the others are off, and refit each with all parameters."""
+        if not proposed:
+            return []
         subject = self.found.subject
         beside = [subject.by_id[id] for id in self.base.effects]
-        laws = [Law(p.spot, p.terms, f"{p.spot.port.name}.tried{k}") for k, (p, _) in enumerate(proposed)]
+        laws = [Law(p.spot, p.terms, f"{p.spot.port.name}.tried{k}") for k, p in enumerate(proposed)]
         effects = [_effect(law, f"tried{k}@{law.spot.port.name}", "a table") for k, law in enumerate(laws)]
         subject = with_laws(subject, self.models, self.load, effects, self.base.effects)
         begin = self.base.fit.values
         starts = [
-            {**begin, **dict(zip(law.sizes, sizes, strict=True))}
-            for law, (_, sizes) in zip(laws, proposed, strict=True)
+            {**begin, **dict(zip(law.sizes, p.sizes, strict=True))} for law, p in zip(laws, proposed, strict=True)
         ]
         subject = tightened(subject, starts)
         built = []
-        for law, effect, start, (p, _) in zip(laws, effects, starts, proposed, strict=True):
-            fitted = fit_effects(subject, [*beside, effect], [start, begin], chords=_STEPS)
+        for law, effect, start, p in zip(laws, effects, starts, proposed, strict=True):
+            acting = [*beside, effect]
+            fitted = fit_effects(subject, acting, [start], tolerance=_COARSE, chords=_STEPS)
+            fitted = fitted or fit_effects(subject, acting, [begin], tolerance=_COARSE, chords=_STEPS)
             if fitted is not None:
                 built.append(_Built(law, p.over, p.knots, effect, subject, fitted))
         return built
@@ -379,8 +436,10 @@ def _courses(place: Spot, x: Quantity) -> list[FloatArray]:
 
 
 def _knots(place: Spot, x: Quantity, count: int) -> FloatArray:
-    """Return knots at quantiles of what the runs reached, as numbers with few digits."""
-    knots = quantile_knots(_courses(place, x), count)
+    """Return knots near quantiles of what the runs reached, as numbers with few digits."""
+    at = quantile_knots(_courses(place, x), count)
+    shares = np.linspace(0.0, 1.0, len(at))
+    knots = (1.0 - _EVEN) * at + _EVEN * (at[0] + np.ptp(at) * shares)
     return np.unique(np.round(knots, 4 - int(np.floor(np.log10(np.ptp(knots))))))
 
 
@@ -389,13 +448,13 @@ def _some(knots: FloatArray, count: int) -> tuple[int, ...]:
     return tuple(dict.fromkeys(np.linspace(0, len(knots) - 1, count).round().astype(int).tolist()))
 
 
-def _simplest(built: Sequence[_Built]) -> _Built:
+def _simplest(found: Sequence[_Table]) -> _Table:
     """Return the table with the fewest values of those that predict left-out experiments as well as the best."""
-    best = min(built, key=lambda b: b.fitted.held_out.mean)
+    best = min(found, key=lambda t: t.held_out.mean)
 
-    def as_good(other: _Built) -> bool:
-        gained, error = advantage(best.fitted.held_out, other.fitted.held_out)
+    def as_good(other: _Table) -> bool:
+        gained, error = advantage(best.held_out, other.held_out)
         return gained <= error
 
-    alike = [b for b in built if b is best or as_good(b)]
-    return min(alike, key=lambda b: (len(b.law.terms), b.fitted.held_out.mean))
+    alike = [t for t in found if t is best or as_good(t)]
+    return min(alike, key=lambda t: (len(t.terms), t.held_out.mean))

@@ -27,7 +27,7 @@ class _Run(Protocol):
 T = TypeVar("T", bound=_Run)
 _REINSTALL = "install fmuid again, in a clone with `pip install --editable .`"
 _SLICE = 0.1  # s between checks for Ctrl-C
-_PATIENCE, _SLOWER = 2.0, 100.0  # s, and times the slowest run that ended: see `Patience`
+_PATIENCE, _SLOWER = 2.0, 100.0  # s, and times the mean of the runs that ended: see `Patience`
 FUNCTIONS = (
     "RESET",
     "SETUP_EXPERIMENT",
@@ -198,12 +198,12 @@ class Patience:
     """How long the simulations of one model may take, learned from those that end.
 
     A search may try parameters at which a model does next to nothing but switch to and fro. Such a run fails
-    when it has taken 2 s of processor time, and 100 times as long a communication point as the slowest run that
-    ended. Until a run has ended there is no limit.
+    when it has taken 2 s of processor time, and 100 times as long a communication point as the runs that ended
+    took on average. Until a run has ended there is no limit.
     """
 
     def __init__(self) -> None:
-        self._slowest: float | None = None  # s of processor time for a communication point
+        self._taken, self._points = 0.0, 0  # s of processor time, and communication points, of runs that ended
 
     def run_to_end(self, run: Callable[[T, int, float], int], subject: T, n_times: int) -> int:
         """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect.
@@ -216,12 +216,13 @@ class Patience:
         if outcome == Outcome.PAUSED:
             begun = time.thread_time() - taken
             while outcome == Outcome.PAUSED:
-                if self._slowest is not None:
-                    limit = max(_PATIENCE, _SLOWER * self._slowest * n_times)
+                if self._points:
+                    limit = max(_PATIENCE, _SLOWER * self._taken / self._points * n_times)
                     if time.thread_time() - begun > limit:
                         return Outcome.TOO_SLOW
                 outcome = run(subject, 1, _SLICE)
             taken = time.thread_time() - begun
         if outcome == Outcome.DONE:
-            self._slowest = max(self._slowest or 0.0, taken / n_times)
+            self._taken += taken
+            self._points += n_times
         return outcome
