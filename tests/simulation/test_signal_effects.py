@@ -193,6 +193,8 @@ def test_inputs_that_saturate_have_a_dead_zone_or_see_each_other():
     u = np.linspace(-2.0, 2.0, N)
     hard = disturbed_input(TIME, u, {"compression": 1.0, "hardness": 30.0}, linear=True).values
     np.testing.assert_allclose(hard, np.clip(u, -1.0, 1.0), atol=0.03)
+    far = disturbed_input(TIME, 1e5 * u, {"compression": 1.0, "hardness": 100.0}, linear=True).values
+    np.testing.assert_allclose(far, np.clip(1e5 * u, -1.0, 1.0))
     dead = disturbed_input(TIME, u, {"dead_zone": 0.5}, linear=True).values
     np.testing.assert_allclose(dead, np.sign(u) * np.maximum(np.abs(u) - 0.5, 0.0))
     both = disturbed_input(TIME, u, {"crosstalk[v]": 0.1}, linear=True, others={"u": u, "v": U}).values

@@ -292,7 +292,9 @@ def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
         y = y - np.clip(y, -width, width)
     if steep > 0.0:
         hardness = effect.get("hardness", NEUTRAL["hardness"])
-        y = y / (1.0 + np.abs(steep * y) ** hardness) ** (1.0 / hardness)
+        size = np.abs(steep * y)
+        most = np.maximum(size, 1.0)  # powers of shares of it cannot overflow
+        y = y / (most * (most**-hardness + (size / most) ** hardness) ** (1.0 / hardness))
     return np.asarray(limit * np.tanh(y / limit)) if limit > 0.0 else y
 
 
