@@ -90,6 +90,19 @@ def test_hours_in_which_the_machine_slept_are_no_measure_for_other_runs(monkeypa
     assert patience.run_to_end(lambda *_: next(outcomes), Run(), 100) == Outcome.TOO_SLOW
 
 
+def test_one_slow_run_leaves_others_no_more_time(monkeypatch):
+    class Run:
+        taken = 0.01
+
+    monkeypatch.setattr(stepper.time, "thread_time", clock(1.0))
+    patience = stepper.Patience()
+    for _ in range(200):
+        patience.run_to_end(lambda *_: Outcome.DONE, Run(), 100)
+    slow, slower = (iter([*[Outcome.PAUSED] * pauses, Outcome.DONE]) for pauses in (1, 9))
+    assert patience.run_to_end(lambda *_: next(slow), Run(), 100) == Outcome.DONE
+    assert patience.run_to_end(lambda *_: next(slower), Run(), 100) == Outcome.TOO_SLOW
+
+
 def clock(tick: float):
     """Return a clock that goes on by `tick` s each time it is looked at."""
     times = itertools.count()
