@@ -398,7 +398,7 @@ class _Search:
 
 
 def _inside(model: ModelSpec) -> FlatModel | Fmu | None:
-    """Return what shows a model's inside: its source, or its FMU for model exchange; None if nothing does."""
+    """Return a model's source, or its FMU for model exchange; None if it has neither."""
     return model_exchange(model) if model.source is None else flat_model(model.source)
 
 
