@@ -197,5 +197,5 @@ def test_estimates_are_conditional_on_what_only_a_later_stage_identifies(analyti
     first, _, last = result.stages
     assert first["b"].note.split(", ")[-1] == "conditional"
     assert "conditional on values that only later stages identify: a" in first.warnings
-    assert last["b"].note == ""
+    assert last["b"].note == "one run"
     assert not any("conditional" in w for w in last.warnings)

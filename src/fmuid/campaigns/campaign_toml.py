@@ -135,6 +135,7 @@ class _SignalTable(Table):
     filter: float | None = None
     timing: Literal["held", "linear", "band-limited", "held-read-after"] | None = None
     shift: float = 0.0
+    sigma: float | None = None
 
 
 class _ParetoTable(Table):
@@ -352,6 +353,8 @@ def _signals(
                 made = _derived(experiment.time, _shifted(experiment.time, signal, table), name, causality, table)
             except MeasurementsError as error:
                 raise CampaignError(f"{error.what} in run '{experiment.id}'", where=where, fix=error.fix) from None
+            if table.sigma is not None:
+                made = replace(made, sigma=table.sigma)
             signals = dict(experiment.signals) | {name: made}
             experiments[experiment.id] = replace(experiment, signals=signals)
     return replace(recorded, experiments=experiments), filters, timings
@@ -367,6 +370,8 @@ def _check_signal_table(name: str, table: _SignalTable, known: Collection[str], 
         raise CampaignError(f"order is {table.order}", where=where, fix="write 1, or 2 beside derivative_of")
     if table.filter is not None and not (math.isfinite(table.filter) and table.filter > 0):
         raise CampaignError(f"filter is {table.filter:g}", where=where, fix="write a frequency in Hz")
+    if table.sigma is not None:
+        _positive("sigma", table.sigma, where)
 
 
 def _signal_timing(timing: Timing, causality: Causality, where: str) -> Timing:

@@ -445,7 +445,8 @@ def _unidentified(run: _Run, problem: Problem, best: Evaluation) -> tuple[str, .
 def _note(name: str, found: Uncertainty | None, held: Sequence[str]) -> str:
     if found is None or found.standard_errors[found.names.index(name)] is None:
         return ""
-    return ", ".join((["robust"] if name in found.robust else []) + (["conditional"] if held else []))
+    marks = {"robust": found.robust, "one run": found.one_run, "biased": found.biased}
+    return ", ".join([mark for mark, names in marks.items() if name in names] + ["conditional"] * bool(held))
 
 
 def _misfit(

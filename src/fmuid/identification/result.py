@@ -53,8 +53,8 @@ class Estimate:
     `standard_error` and `interval` (95 %) are None where the experiments do not determine the parameter alone, or
     where it sits at a bound. `inherited` is the share of its variance due to errors of parameters fixed at earlier
     estimates. `truth` is the true value on the rig, if known. `depends_on` names fixed variables on whose values
-    the estimate depends. `note` marks standard errors that are robust to the model's misfit, and values that are
-    conditional on others that the stage holds.
+    the estimate depends. `note` marks standard errors that are robust to the model's misfit, intervals that hold
+    for one run only, estimates biased by noise of inputs, and values conditional on others that the stage holds.
     """
 
     name: str

@@ -10,11 +10,12 @@ import numpy as np
 
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import UnitError
-from fmuid.core.experiments import Experiment
+from fmuid.core.experiments import NEAR_TIMES, Experiment, Measurements
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import Conversion, conversion
 from fmuid.data.noise.resolution import quantum, repeating_variance
 from fmuid.data.noise.runs import RepeatedRuns
+from fmuid.data.noise.single_run import fast_variance
 
 Source = Literal["given", "repeats", "unknown"]
 
@@ -81,6 +82,25 @@ def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str 
         return None
     differing, repeating = np.mean(found, axis=0)
     return NoiseLevel(float(differing), float(repeating), "repeats")
+
+
+def input_sigma(measurements: Measurements, run: Experiment, name: str) -> float | None:
+    """Return the standard deviation of the noise of a recorded input, in its unit; None if it is unknown.
+
+    It is given, or follows from runs of one reference: from the fast part of the differences between them, as
+    controllers react more slowly.
+    """
+    signal = run.inputs[name]
+    if signal.sigma is not None:
+        return signal.sigma
+    reference = run.repeat_of_reference or run.id
+    near = [e for e in measurements if reference in (e.id, e.repeat_of_reference)]
+    recorded = [e.inputs[name].values for e in near if name in e.inputs and e.sampled_like(run, within=NEAR_TIMES)]
+    if len(recorded) < 2:
+        return None
+    apart = np.array(recorded) - np.mean(recorded, axis=0)
+    sigma = float(np.sqrt(fast_variance(apart) * len(recorded) / (len(recorded) - 1)))
+    return sigma if sigma > 0.0 else None
 
 
 def repeated_runs(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> tuple[RepeatedRuns, ...]:

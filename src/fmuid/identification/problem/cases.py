@@ -18,7 +18,14 @@ from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import Conversion, conversion
 from fmuid.data.filtering import LowPass
-from fmuid.data.noise.level import NoiseLevel, conversion_at, noise_elsewhere, noise_level, repeated_runs
+from fmuid.data.noise.level import (
+    NoiseLevel,
+    conversion_at,
+    input_sigma,
+    noise_elsewhere,
+    noise_level,
+    repeated_runs,
+)
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
 from fmuid.simulation.simulator import Simulator, Task
@@ -124,6 +131,8 @@ class Case:
     columns
         (N,) means over repeats, with their units, of the logged columns that the plain model does not use, by the
         names of the inputs that they become.
+    input_noise
+        Standard deviations of the noise of recorded inputs, where known, by the model's variable and in its unit.
     """
 
     id: str
@@ -137,6 +146,7 @@ class Case:
     lead: int = 0
     machine: str = ""
     columns: Mapping[str, tuple[str, FloatArray]] = field(default_factory=dict)
+    input_noise: Mapping[str, float] = field(default_factory=dict)
     _reached: dict[tuple[str, ...], tuple[_Set, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -275,7 +285,7 @@ def measured_case(
     measurements
         (N,) or (R, N) samples by variable name, all of them among ``task.outputs``.
     sigma
-        Noise standard deviations by variable name.
+        Noise standard deviations by variable name, also of recorded inputs.
     criteria
         Criteria; by default least squares on every measured variable.
     parameters
@@ -298,7 +308,10 @@ def measured_case(
         channel = _find(channels, spec.signal, id)
         runs = (RepeatedRuns(id, id, task.time, (channel.signal,), channel.repeats[:, None]),)
         prepared.append(prepare(spec, _target(task.time, channel, task.inputs, runs if whitened(spec) else ())))
-    return Case(id, simulator, task, tuple(channels), tuple(prepared), frozen_mapping(setting))
+    recorded = {n: s for n, s in (sigma or {}).items() if n in task.inputs}
+    return Case(
+        id, simulator, task, tuple(channels), tuple(prepared), frozen_mapping(setting), input_noise=recorded
+    )
 
 
 def _same_simulation(a: Experiment, b: Experiment) -> bool:
@@ -371,11 +384,7 @@ def _case(
         _channel(campaign, group, simulator, name=name, sensor=sensors.get(name, {}), known=known_until)
         for name in dict.fromkeys(spec.signal for spec in specs)
     ]
-    inputs = {}
-    for name, signal in first.inputs.items():
-        variable = _variable(model, name, simulator, where)
-        convert = conversion_at(signal.unit, variables[variable].unit, f"signal '{name}' of {where}")
-        inputs[variable] = convert(signal.values)
+    inputs, input_noise = _inputs(campaign, first, simulator, where)
     columns = _columns(group)
     for variable in (n for n, v in variables.items() if v.causality == "input" and n.startswith(LOGGED)):
         inputs[variable] = _logged(group, columns, variable)
@@ -428,7 +437,24 @@ def _case(
         lead,
         first.machine,
         columns,
+        input_noise,
     )
+
+
+def _inputs(
+    campaign: Campaign, run: Experiment, simulator: Simulator, where: str
+) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """Return the inputs of a run by the model's variable, and the standard deviations of their noise if known."""
+    model = campaign.models[run.setup]
+    inputs, noise = {}, {}
+    for name, signal in run.inputs.items():
+        variable = _variable(model, name, simulator, where)
+        convert = conversion_at(signal.unit, simulator.variables[variable].unit, f"signal '{name}' of {where}")
+        inputs[variable] = convert(signal.values)
+        sigma = input_sigma(campaign.measurements, run, name)
+        if sigma is not None:
+            noise[variable] = abs(convert.factor) * sigma
+    return inputs, noise
 
 
 def logged(column: str) -> str:

@@ -260,8 +260,15 @@ class Problem:
 
     def over(self, space: SearchSpace) -> Problem:
         """Return the same problem with other free parameters."""
+        return self._like(self.cases, space)
+
+    def with_cases(self, cases: Sequence[Case]) -> Problem:
+        """Return the same problem with other measurements or inputs."""
+        return self._like(cases, self.space)
+
+    def _like(self, cases: Sequence[Case], space: SearchSpace) -> Problem:
         kept: dict[str, Any] = {"combination": self.combination, "constraints": self.constraints}
-        return Problem(self.cases, space, **kept, runner=self.runner, name=self.name)
+        return Problem(cases, space, **kept, runner=self.runner, name=self.name)
 
     @property
     def nuisances(self) -> int:

@@ -77,6 +77,13 @@ def without_moves(problem: Problem, residuals: FloatArray, j: FloatArray) -> Apa
     return Apart(left, removed)
 
 
+def information_of_runs(problem: Problem, j: FloatArray) -> FloatArray:
+    """Return the (runs, n) share of each run in the information on each parameter, from the Jacobian (m, n)."""
+    nothing = np.zeros(len(j))
+    parts = [np.sum(part.jacobian**2, axis=0) for part in _runs(problem, nothing, j, nothing)]
+    return np.asarray(np.array(parts) / np.maximum(np.sum(parts, axis=0), np.finfo(float).tiny))
+
+
 def clustered(
     problem: Problem, residuals: FloatArray, j: FloatArray, noise: FloatArray, memory: int | None
 ) -> list[Clustered]:

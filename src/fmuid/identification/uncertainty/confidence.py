@@ -10,6 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from fmuid.core.campaign import SEPARATOR
+from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.derivatives import Differences, EvaluateMany, NoiseFloor, noise_floor
 from fmuid.identification.problem.estimation_problem import Problem
@@ -21,11 +23,13 @@ from fmuid.identification.uncertainty.clusters import (
     RUNS,
     Clustered,
     clustered,
+    information_of_runs,
     without_moves,
 )
 from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score_covariance
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 from fmuid.identification.uncertainty.inherited import Held, effective_degrees
+from fmuid.identification.uncertainty.input_noise import InputNoise, input_noise, noisy_inputs
 
 Matrix = tuple[tuple[float, ...], ...]
 LEVEL = 0.95
@@ -37,6 +41,8 @@ _FEW = 2.0  # degrees of freedom that the scatter between runs needs to be known
 _TWO = 0.01  # two clusters have an interval that is six times as wide
 _COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
+_BIASED = 0.5  # standard errors: a smaller bias hardly changes an interval
+_ALONE = 0.999  # share of the information on a parameter
 _FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
 
 
@@ -50,10 +56,11 @@ class Uncertainty:
     are their names, `held_slopes` (n, h) the derivatives of the estimate with respect to them in model space.
     `degrees_of_freedom` belong to the stage's own noise, `degrees` (n,) to the standard errors; None means
     infinite. `robust` are the parameters whose errors come from the scatter between runs (`clusters`), which
-    exceeds that of coloured noise. `naive_errors` (n,) would hold for white noise. `whiteness` tests the
-    residuals, `identifiability` the directions that the experiments determine, and `noise_floor` is the
-    simulator's. `notes` state conditions of the standard errors, or why there are none;
-    `constraints` are the active ones.
+    exceeds that of coloured noise. `one_run` are those that a single run determines. `biased` are those that noise
+    of recorded inputs moves by more than half a standard error, which intervals include. `naive_errors` (n,) would
+    hold for white noise. `whiteness` tests the residuals, `identifiability` the directions that the experiments
+    determine, and `noise_floor` is the simulator's. `notes` state conditions of the standard errors, or why there
+    are none; `constraints` are the active ones.
     """
 
     names: tuple[str, ...]
@@ -73,6 +80,8 @@ class Uncertainty:
     degrees: tuple[float | None, ...] = ()
     notes: tuple[str, ...] = ()
     robust: tuple[str, ...] = ()
+    one_run: tuple[str, ...] = ()
+    biased: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
 
     @property
@@ -143,10 +152,19 @@ def uncertainty_of(
     bread = _bread(scaled, scale, along, tolerance) if active.texts else free
     n = len(best.x)
     whole = first.complete and not active.texts and not problem.segments
-    scatter = _scatter(problem, here, j, bread, along.shape[1] + problem.nuisances, whole=whole)
+    recorded, unknown = InputNoise.none(n), ""
+    try:
+        recorded = input_noise(problem, here, j, bread, floor)
+    except SimulationError as error:
+        unknown = f"the noise of the inputs is not in the intervals: {error}"
+    extent = along.shape[1] + problem.nuisances
+    scatter = _scatter(problem, here, j, bread, extent, of_inputs=recorded.covariance, whole=whole)
     covariance, whiteness = scatter.covariance, scatter.whiteness
     if n > 1 and first.complete and not active.texts and scatter.degrees > 0.0:
         covariance = _widened(problem, evaluate, here, j, covariance)
+    noticed = _BIASED * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    biased: list[int] = np.flatnonzero(np.abs(recorded.bias) > noticed).tolist()
+    covariance = covariance + np.outer(recorded.bias, recorded.bias)
     spoken = covariance if scatter.degrees > 0.0 else None
     found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=spoken)
     found = found if first.complete else first
@@ -196,10 +214,14 @@ def uncertainty_of(
         inherited=() if held is None else _matrix(inherited),
         degrees=tuple(map(_limited, degrees)),
         robust=tuple(names[k] for k in sorted(scatter.robust)),
+        one_run=_of_one_run(problem, j),
+        biased=tuple(names[k] for k in biased if known[k]),
         constraints=active.texts,
         notes=(
             *_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f], names),
             *_exploding(problem, scaled, whiteness, floor),
+            *_biases(problem, slope * recorded.bias, [k for k in biased if known[k]]),
+            *([unknown] if unknown else []),
         ),
     )
 
@@ -220,16 +242,23 @@ class _Scatter:
 
 
 def _scatter(
-    problem: Problem, here: Evaluation, j: FloatArray, bread: FloatArray, parameters: int, *, whole: bool
+    problem: Problem,
+    here: Evaluation,
+    j: FloatArray,
+    bread: FloatArray,
+    parameters: int,
+    *,
+    of_inputs: FloatArray,
+    whole: bool,
 ) -> _Scatter:
-    """Return the scatter; clusters are looked at if the whole of the parameters is determined."""
+    """Return the scatter, at least that `of_inputs`; clusters are looked at if all parameters are determined."""
     from scipy.special import chdtrc
 
     m = len(here.residuals)
     scores = score_covariance(problem, here, j)
     whiteness = scores.whiteness
     known, degrees = _noise(problem)
-    of_noise = bread @ (j.T @ (j * known[:, None] ** 2)) @ bread
+    of_noise = bread @ (j.T @ (j * known[:, None] ** 2)) @ bread + of_inputs
 
     def by(covariance: FloatArray, freedom: float) -> _Scatter:
         return _Scatter(covariance, freedom, whiteness, m, parameters)
@@ -349,6 +378,29 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Seque
     if fixed:
         notes.append(f"no standard error, because the active constraints alone determine: {', '.join(fixed)}")
     return notes
+
+
+def _of_one_run(problem: Problem, j: FloatArray) -> tuple[str, ...]:
+    """Return the parameters on which one run has all information, unless they belong to that run by definition."""
+    shares = information_of_runs(problem, j)
+    ids = {case.id for case in problem.cases}
+    alone = np.max(shares, axis=0) > _ALONE
+    own = [name.partition(SEPARATOR)[2] in ids for name in problem.space.names]
+    return tuple(n for n, one, o in zip(problem.space.names, alone, own, strict=True) if one and not o)
+
+
+def _biases(problem: Problem, bias: FloatArray, biased: Sequence[int]) -> list[str]:
+    """Report the (n,) bias, in model space, that the noise of recorded inputs causes."""
+    if not biased:
+        return []
+    names = problem.space.names
+    inputs = [f"{name} ({sigma:.2g})" for name, sigma in noisy_inputs(problem).items()]
+    moves = [f"{names[k]} by about {bias[k]:+.2g}" for k in biased]
+    return [
+        f"noise of the recorded input{'s' * (len(inputs) > 1)} {', '.join(inputs)} biases {', '.join(moves)}; the "
+        f"interval{'s include' if len(moves) > 1 else ' includes'} this. Record the input with less noise, or "
+        "drive the model with the commanded signal"
+    ]
 
 
 def _missed(whiteness: Whiteness) -> bool:
