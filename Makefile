@@ -126,13 +126,13 @@ lint: $(DEVELOPER)
 ABREAST := --numprocesses 2 --dist loadfile
 
 test: lint
-	$(BIN)/pytest $(ABREAST) -m "not slow and not browser"
+	$(BIN)/pytest $(ABREAST) -m "not slow"
 
 # The tests of the actuator on its models in pure Python, as where there is no C compiler.
 test-reference: $(DEVELOPER)
 	$(BIN)/pytest --reference-models tests/reference -m "not slow"
 
-# The local page, looked at with Chromium; skipped where it is missing.
+# The local page alone, in Chromium; these tests are skipped where it is missing.
 test-page: $(DEVELOPER)
 	$(BIN)/pytest tests/page
 

@@ -93,20 +93,24 @@ def opened() -> Iterator[Callable[..., str]]:
     yield start
     for process in started:
         process.terminate()
-        process.communicate(timeout=30)
+        process.communicate(timeout=300)
 
 
 @pytest.fixture
 def browser() -> Iterator[Any]:
-    """A browser; every request that does not go to this machine fails the test."""
+    """A browser; every request that does not go to this machine fails the test.
+
+    The time limits are those of a page that hangs: no test depends on how fast the machine is.
+    """
     if CHROMIUM is None:
         pytest.skip("needs Chromium: apt-get install chromium")
     playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+    playwright.expect.set_options(timeout=300_000)
     elsewhere: list[str] = []
     with playwright.sync_playwright() as driver:
         program = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
         context = program.new_context(viewport={"width": 1400, "height": 900})
-        context.set_default_timeout(30_000)
+        context.set_default_timeout(300_000)
 
         def noted(request: Any) -> None:
             if not request.url.startswith(("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:")):

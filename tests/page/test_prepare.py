@@ -60,7 +60,18 @@ def test_a_campaign_is_made_corrected_and_undone_in_the_page(tank: Path, opened:
     page.get_by_role("row").filter(has=variable).drag_to(page.get_by_text("output T [K]"))
     page.get_by_role("status").get_by_text("Ready to run").wait_for()
     assert table(tank)["models"]["Tank"]["map"] == {"heater": "P", "probe": "T"}
-    assert row.locator("svg .simulated").count() == 1
+    expect(row.locator("svg .simulated")).to_have_count(1)
+
+    # Another start value, another curve.
+    simulated = row.locator("svg .simulated")
+    before_edit = str(simulated.get_attribute("points"))
+    start = page.get_by_label("Start of C", exact=True)
+    start.fill("8000")
+    start.press("Tab")
+    expect(simulated).not_to_have_attribute("points", before_edit)
+    page.get_by_role("button", name="Undo").click()
+    expect(start).to_have_value("4000")
+    expect(simulated).to_have_attribute("points", before_edit)
 
     # A bound below the start is an error in the parameter's row; the keyboard's focus stays.
     lower = page.get_by_label("Lower of C")
@@ -68,10 +79,10 @@ def test_a_campaign_is_made_corrected_and_undone_in_the_page(tank: Path, opened:
     lower.press("Tab")
     parameter = page.get_by_role("row").filter(has=lower)
     parameter.get_by_text("start 4000 is outside").wait_for()
-    assert page.evaluate("document.activeElement.getAttribute('aria-label')") == "Upper of C"
+    expect(page.get_by_label("Upper of C")).to_be_focused()
     page.get_by_role("button", name="Undo").click()
     page.get_by_role("status").get_by_text("Ready to run").wait_for()
-    assert lower.input_value() == "400"
+    expect(lower).to_have_value("400")
 
     # Fixed, known, free again: comments stay.
     page.get_by_label("T_room is").select_option("known")
@@ -149,7 +160,7 @@ def test_two_windows_show_each_message_once(tank: Path, opened: Opened, browser:
     windows = [browser.new_page(), browser.new_page()]
     for page in windows:
         page.goto(address)
-    windows[0].wait_for_timeout(6000)
-    for page in windows:
+    for page in windows:  # also with what the simulations show
+        expect(page.get_by_role("status").filter(has_text="Ready to run")).to_have_attribute("aria-busy", "false")
         row = page.get_by_role("row").filter(has=page.get_by_label("Variable for heater"))
         expect(row.get_by_text("is constant")).to_have_count(1)

@@ -44,7 +44,7 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
     bound = page.get_by_role("tabpanel", name="Run").get_by_label("Upper of G")
     bound.fill("7")
     bound.press("Enter")
-    page.wait_for_timeout(500)
+    page.wait_for_function("document.querySelector('textarea.file').value.includes('upper = 7.0')")
     page.get_by_role("button", name="Continue from the best point").click()
     page.get_by_text(re.compile("runs/campaign-2")).wait_for()
     status.get_by_text(re.compile("Done: stage all")).wait_for()
@@ -71,8 +71,6 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
     )
     rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) degC", before + said.inner_text())]
     assert rms[1] > rms[0]
-    milliseconds = float(re.search(r"in (\d+) ms", said.inner_text())[1])  # type: ignore[index]
-    assert milliseconds < 2000
 
 
 def test_a_search_that_a_command_makes_is_followed(tank: Path, opened: Opened, browser: Any) -> None:
@@ -111,8 +109,9 @@ def test_a_running_search_is_paused_resumed_and_steered(tank: Path, opened: Open
     page.get_by_role("button", name="Pause").first.click()
     status.get_by_text(re.compile("Paused: stage all")).wait_for()
     at_rest = evaluations()
-    page.wait_for_timeout(1500)
-    assert evaluations() == at_rest
+    page.reload()  # what is on the disk
+    page.get_by_role("tab", name="Run").click()
+    status.get_by_text(f", {at_rest} evaluations").wait_for()
     page.get_by_role("button", name="Resume").click()
     status.get_by_text(re.compile("Running: stage all")).wait_for()
     page.wait_for_function(

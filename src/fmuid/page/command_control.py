@@ -97,11 +97,12 @@ class CommandControl:
 
     def _show(self) -> None:
         process = self._process
-        if not process.running:
+        running = process.running  # before its files are looked at: those of a process that has ended are complete
+        if not running:
             self._command = self._make()
-        done = not process.running and self._command.result.is_file() and not self._command.interrupted
+        done = not running and self._command.result.is_file() and not self._command.interrupted
         words, share = "", 0.0
-        if process.running:
+        if running:
             share, task = process.progress or (0.0, "starting")
             words = f"{100 * share:.0f} %: {task}"
         elif self._command.interrupted:
@@ -111,10 +112,10 @@ class CommandControl:
         set_text(self._status, words)
         set_text(self._complaint, process.complaint)
         self._complaint.set_visibility(bool(process.complaint))
-        self._bar.set_visibility(process.running)
+        self._bar.set_visibility(running)
         if self._bar.props.get("value") != f"{share:.3f}":
             self._bar.props["value"] = f"{share:.3f}"
             self._bar.update()
-        enable(self._start, not process.running)
-        enable(self._stop, process.running)
+        enable(self._start, not running)
+        enable(self._stop, running)
         enable(self._look, done)

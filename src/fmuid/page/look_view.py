@@ -165,21 +165,23 @@ class LookView:
     async def _simulate(self) -> None:
         """Simulate until the newest values are shown."""
         try:
-            shown: dict[str, float] | None = None
-            while shown != self._values:
-                shown = dict(self._values)
+            shown: object = None
+            while shown != (self._cases, self._values):
+                cases, values = shown = self._cases, dict(self._values)
                 begin = perf_counter()
-                outcomes = await run.io_bound(predicted, self._cases, shown, self._work.runner)
-                self._draw(outcomes or [], 1e3 * (perf_counter() - begin))
+                outcomes = await run.io_bound(predicted, cases, values, self._work.runner)
+                self._draw(cases, outcomes or [], 1e3 * (perf_counter() - begin))
         except FmuidError as error:
             set_text(self._said, str(error))
         finally:
             self._busy = False
 
-    def _draw(self, outcomes: Sequence[FloatArray | FmuidError], milliseconds: float) -> None:
+    def _draw(
+        self, cases: Sequence[Case], outcomes: Sequence[FloatArray | FmuidError], milliseconds: float
+    ) -> None:
         drawn: list[Overlay] = []
         words = []
-        for case, outcome in zip(self._cases, outcomes, strict=True):
+        for case, outcome in zip(cases, outcomes, strict=True):
             if isinstance(outcome, FmuidError):
                 words.append(str(outcome))
                 continue

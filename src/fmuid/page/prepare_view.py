@@ -52,7 +52,7 @@ class PrepareView:
 
     def __init__(self, workspace: Workspace) -> None:
         self._work = workspace
-        self._shown = -1
+        self._shown = self._simulated = -1  # versions of the campaign
         self._busy = False
         self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
         self._dragged: str | None = None
@@ -119,9 +119,8 @@ class PrepareView:
             self._runs()
             self._graph()
         self._updates.append(lambda messages: elsewhere.show(self._without_place(messages)))
-        self._shown = -1
+        self._shown = self._simulated = -1
         self._show()
-        ui.timer(0.05, self._simulate, once=True)
 
     def _show(self) -> None:
         """Bring everything up to date; elements stay, so that the keyboard's focus does."""
@@ -138,6 +137,9 @@ class PrepareView:
         others = sum(m.level == "warning" for m in self._work.messages)
         words = f"{errors} to correct" if errors else "Ready to run"
         set_text(self._status, words + (f", {others} warnings" if others > 1 else ", 1 warning" if others else ""))
+        # More messages may follow from simulations.
+        self._status.props["aria-busy"] = str(not errors and not self._work.effects_known).lower()
+        self._status.update()
         if self._file_text != self._work.file.text:  # otherwise a text that was refused stays, to be corrected
             self._file_text = self._work.file.text
             self._file.show(self._file_text)
@@ -147,8 +149,9 @@ class PrepareView:
     async def _tick(self) -> None:
         with told():
             self._work.follow()
-        if self._shown != self._work.version:
-            self._show()
+        self._show()
+        if self._simulated != self._work.version:
+            self._simulated = self._work.version
             await self._simulate()
         if not self._work.effects_known and not self._busy:
             version = self._work.version

@@ -146,11 +146,12 @@ class RunView:
 
     async def _steered(self) -> None:
         """Start another search at the best point of this one, with the campaign as it is now."""
-        best = self._best_values()
         if self._process is not None:
             self._process.stop()
             await run.io_bound(self._process.wait)
         with told():
+            self._followed.look()
+            best = self._best_values()
             self._work.start_from(best)
             self._launch(_next_folder(self._folder))
 
@@ -176,13 +177,14 @@ class RunView:
         return {}
 
     async def _tick(self) -> None:
+        running = self._running  # before the journal is read: of a process that has ended, it is complete
         with told():
             self._followed.look()
-        self._words()
+        self._words(running)
         self._steer()
         stage = self._stage()
         seen = "" if stage is None else f"{self._folder} {stage.name} {len(stage.rows)} {self._run}"
-        due = perf_counter() >= self._next_drawing or not self._running
+        due = perf_counter() >= self._next_drawing or not running
         if stage is not None and seen != self._seen and not self._drawing and due:
             self._drawing = True
             self._seen = seen
@@ -192,26 +194,26 @@ class RunView:
                 self._drawing = False
                 self._next_drawing = perf_counter() + _PAUSE
 
-    def _words(self) -> None:
+    def _words(self, running: bool) -> None:
         stage, complete = self._stage(), not self._followed.in_progress
         if stage is None:
-            words = "Starting …" if self._running else "Not started"
+            words = "Starting …" if running else "Not started"
         else:
             costs = stage.rows.costs[stage.rows.searched]
             known = costs[np.isfinite(costs)]
             cost = f", cost {known[0]:.4g} → {known.min():.4g}" if known.size else ""
-            state = "Running" if self._running else "Done" if complete else "Paused"
-            if not self._running and not complete and self._process is None:
+            state = "Running" if running else "Done" if complete else "Paused"
+            if not running and not complete and self._process is None:
                 state = "Interrupted, or made by another process"
             words = f"{state}: stage {stage.name}, {costs.size} evaluations{cost}"
         set_text(self._status, words)
         set_text(self._where, f"Run folder: {self._folder}")
         set_text(self._complaint, self._process.complaint if self._process is not None else "")
         self._complaint.set_visibility(bool(self._process is not None and self._process.complaint))
-        interrupted = bool(self._followed.run.stages) and not complete and not self._running
+        interrupted = bool(self._followed.run.stages) and not complete and not running
         for made, usable in (
-            (self._start, not self._running),
-            (self._pause, self._running),
+            (self._start, not running),
+            (self._pause, running),
             (self._resume, interrupted),
             (self._stop, stage is not None),
             (self._best, bool(self._best_values())),

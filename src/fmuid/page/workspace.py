@@ -106,7 +106,7 @@ class Workspace:
         self.models: Mapping[str, Simulator] = {}
         self.messages: tuple[Message, ...] = ()
         self.checked: Checked | None = None
-        self.effects_known = False
+        self.effects_known = self._effects_begun = False
         self.version = 0
         self._logs = dict(logs or {})
         self._layout = layout
@@ -127,7 +127,7 @@ class Workspace:
     def refresh(self) -> None:
         """Read the campaign again and check it without simulating."""
         self.version += 1
-        self.checked, self.effects_known = None, False
+        self.checked, self.effects_known, self._effects_begun = None, False, False
         messages: list[Message] = []
         try:
             self.measurements = read_measurements(self.measurements_file)
@@ -154,9 +154,9 @@ class Workspace:
 
     def simulate_effects(self) -> None:
         """Simulate the stages around their start, as `fmuid check` does, and add what that shows."""
-        if self.effects_known or self.campaign is None or self.checked is None or self.checked.errors:
+        if self._effects_begun or self.campaign is None or self.checked is None or self.checked.errors:
             return
-        self.effects_known = True  # until something changes, whichever window asks
+        self._effects_begun = True  # until something changes, whichever window asks
         version = self.version
         try:
             found = with_effects(self.checked, self.campaign, self.models, self.runner)
@@ -164,7 +164,7 @@ class Workspace:
         except FmuidError as error:
             found, messages = self.checked, (*self.messages, Message.of_error(error))
         if version == self.version:
-            self.checked, self.messages = found, messages
+            self.checked, self.messages, self.effects_known = found, messages, True
             self.version += 1
 
     def edit(self, change: Callable[[CampaignFile], object]) -> None:
