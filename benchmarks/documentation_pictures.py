@@ -34,6 +34,7 @@ def main() -> None:
     """Run what the documentation shows and take its pictures."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        (folder / "docs").symlink_to(DOCS)
         run(["bash", "-e", "-c", "fmuid demo --no-open --out demo; fmuid report demo/identified"], folder)
         for page in ("tutorials/three-rigs.md", "how-to/read-diagnosis.md"):
             run_page(DOCS / page, folder)

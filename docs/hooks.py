@@ -1,4 +1,4 @@
-"""Parts of the site that are generated: the commands (by Typer), the names of `fmuid`, the catalogue of errors."""
+"""Generated parts of the site: commands (by Typer), names of `fmuid`, catalogue of errors, numbers set by hand."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import contextlib
 import csv
 import io
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
 
+sys.path.append(str(Path(__file__).parents[1]))  # for `benchmarks`
 _TOPICS = {
     "Campaigns and measurements": ("campaigns", "core.campaign", "core.experiments", "data"),
     "Simulation": ("simulation",),
@@ -28,8 +30,12 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Insert the catalogue of errors into its page."""
-    return markdown.replace("<!-- errors.csv -->", _errors()) if page.file.src_uri == "errors.md" else markdown
+    """Insert the catalogue of errors and the numbers set by hand into their pages."""
+    from benchmarks.chosen_numbers import table
+
+    made = {"errors.md": ("<!-- errors.csv -->", _errors), "numbers.md": ("<!-- numbers -->", table)}
+    mark, content = made.get(page.file.src_uri, ("", str))
+    return markdown.replace(mark, content()) if mark else markdown
 
 
 def _errors() -> str:
