@@ -1,5 +1,6 @@
 """The linear response to parameters that vary, compared with simulations of the model that has them."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ from fmu_build import compile_flat, load
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.packaging import package
 from fmuid import load_fmu
-from fmuid.simulation.linear_response import Linearised
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.linear_response import Linearised, LinearisedFmu
 from fmuid.simulation.simulator import Task
 
 RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
@@ -45,3 +47,43 @@ def test_the_response_is_that_of_a_simulation(tmp_path, rig, parameter, drive, o
     size = np.abs(expected).max(axis=1, keepdims=True)
     assert np.abs(response - expected).max() < 0.05 * size.max()  # a few samples for each oscillation
     assert (size > 0.0).all()
+
+
+@pytest.mark.parametrize("offered", [True, False])
+@pytest.mark.parametrize(
+    ("rig", "parameter", "drive", "outputs"),
+    [
+        ("TwoMass", "shaft.c", {"tau": 0.3}, ("w_motor", "w_load")),
+        ("TwoMass", "load.J", {"tau": 0.3}, ("w_motor", "w_load")),
+        ("Circuit", "resistor.R", {"v": 5.0}, ("v_c",)),
+    ],
+)
+def test_an_fmu_without_source_has_the_same_response(tmp_path, rig, parameter, drive, outputs, offered):
+    """By the FMU's directional derivatives, or by differences."""
+    model = compile_flat(load(RIGS, f"Rigs.{rig}"))
+    path = package(model, tmp_path / "plain.fmu")
+    if not offered:
+        with_text = {n: c.replace(b"providesDirectionalDerivative", b"x") for n, c in contents(path).items()}
+        path = packed(tmp_path / "without.fmu", with_text)
+    fmu = Fmu(path, "model exchange")
+    assert fmu.description.model_exchange.directional == offered
+    time = np.linspace(0.0, 2.0 if rig == "TwoMass" else 0.05, 201)
+    inputs = {n: a * np.sign(np.sin(6.0 * time / time[-1])) for n, a in drive.items()}
+    course = np.sin(9.0 * time / time[-1]) + 0.3
+    ours, theirs = Linearised(model, [parameter]), LinearisedFmu(fmu, [parameter])
+    names = list(dict.fromkeys([*ours.needed, *theirs.needed]))
+    courses = dict(zip(names, fmu.simulate(Task(time, inputs, tuple(names)), {}), strict=True)) | inputs
+    expected, found = (m.along(time, courses, {}, outputs).to(0, course[None, :]) for m in (ours, theirs))
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def packed(path: Path, files: dict[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.foreign.plants import Gap, plant_fmu, write_logs
+from benchmarks.foreign.plants import PLANTS, Gap, plant_fmu, write_logs
 from fmuid import diagnose
 from fmuid.cli.app import run
 from fmuid.simulation.fmu import load_fmu
@@ -63,3 +63,24 @@ def test_laws_of_every_domain_are_found(tmp_path, name):
     assert run(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert found["verdict"]["effects"] == [RIGS[name][2]]
+
+
+@pytest.mark.slow
+def test_a_resistance_that_varies_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path):
+    """The windings warm up with the current, which the FMU lacks; its parameters are fixed during a run."""
+    _, resistance, _, _ = PLANTS["CIRCUIT"].values
+    inductance = PLANTS["CIRCUIT"].values[0]
+    lacking = Gap(lambda x, z: np.array([-0.25 * resistance * abs(x[0]) * x[0] / inductance, 0]))
+    fmu = plant_fmu("CIRCUIT", tmp_path, 3)
+    logs = write_logs("CIRCUIT", lacking, tmp_path / "logs", runs=3, samples=200)
+    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
+    found = diagnose(tmp_path / "campaign", out=tmp_path / "out")
+    assert found.diagnosis.verdict.effects == ("varies@R(i)",)
+    corrected = load_fmu(tmp_path / "out" / "corrected" / "Circuit3.fmu")
+    values = found.corrected.fit.values
+    for case in found.subject.model.cases:
+        own = {n: v for n, v in values.items() if n in case.simulator.variables}
+        fitted = case.simulator.simulate(case.task, own)
+        np.testing.assert_array_equal(corrected.simulate(case.task, {}), fitted)
+        tolerance = case.task.tolerance or 1e-6
+        np.testing.assert_allclose(simulate_fmu(corrected.path, case.task, {}, tolerance), fitted, atol=1e-9)

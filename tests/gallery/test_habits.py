@@ -88,17 +88,17 @@ def test_a_tool_that_an_fmu_needs_is_reported(tmp_path, capfd):
 
 
 def test_states_and_outputs_may_be_arrays(tmp_path):
-    """A rod of three parts with one array of temperatures, whose last part radiates, which its model lacks."""
+    """A rod of three parts with one array of temperatures, whose first part radiates, which its model lacks."""
     fmu = plant_fmu("ROD", tmp_path, 3)
 
     def lacking(x: np.ndarray, z: np.ndarray) -> np.ndarray:
-        return np.array([0, 0, -4e-11 * (x[2] ** 4 - 293.0**4)])
+        return np.array([-4e-11 * (x[0] ** 4 - 293.0**4), 0, 0])
 
     logs = write_logs("ROD", Gap(lacking), tmp_path / "logs", runs=3, samples=150)
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
     assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert found["verdict"]["effects"][0].endswith("@der(T[3])")
+    assert found["verdict"]["effects"][0].endswith("@der(T[1])")
 
 
 def test_runs_may_begin_at_any_time(tmp_path):

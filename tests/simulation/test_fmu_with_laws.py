@@ -15,10 +15,10 @@ from scipy.integrate import solve_ivp
 from benchmarks.foreign.plants import PLANTS, plant_fmu
 from fmu_build.errors import ModelicaError
 from fmu_build.instrument import Added, State
-from fmuid.core.errors import FmuError
+from fmuid.core.errors import FmuError, SimulationError
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.fmu_copy import copy_with_starts
-from fmuid.simulation.fmu_with_laws import StateLaw, write_fmu_with_laws
+from fmuid.simulation.fmu_with_laws import CoefficientLaw, StateLaw, write_fmu_with_laws
 from fmuid.simulation.law_code import OPERATIONS, Operand, code_of
 from fmuid.simulation.simulator import Task
 from tests.reference.plain_fmpy import simulate_fmu
@@ -90,6 +90,44 @@ def test_laws_and_their_states_act_as_scipy_says(with_laws, values):
 def test_a_driven_input_is_taken_from_the_derivative(with_laws):
     task = Task(TIME, {"tau": TORQUE, "der(w1).added_flow": np.full(TIME.size, 4.0)}, OUTPUTS, tolerance=1e-8)
     np.testing.assert_allclose(Fmu(with_laws).simulate(task, {}), exact(added=4.0), atol=1e-5)
+
+
+VARYING = {  # a stiffness that grows with the speed, a damping that warms up, and an inertia that grows with time
+    "c": CoefficientLaw("c", "p*(1 + c.speed*abs(w2))", {"c.speed": 0.0}),
+    "d": CoefficientLaw("d", "p*(1 + d.warmth*heat)", {"d.warmth": 0.0}, (State("heat", "abs(w1) - heat/0.2"),)),
+    "J2": CoefficientLaw("J2", "p*(1 + J2.time*time)", {"J2.time": 0.0}),
+}
+
+
+@pytest.mark.parametrize("values", [{"c.speed": 0.08}, {"d.warmth": 6.0}, {"J2.time": 1.5}])
+def test_parameters_vary_as_scipy_says(drive, tmp_path, values):
+    target = tmp_path / "Varying.fmu"
+    write_fmu_with_laws(Fmu(drive, "model exchange"), list(VARYING.values()), [Added(n, 0.0) for n in ("c.speed", "d.warmth", "J2.time")], target)  # fmt: skip
+    fmu, task = Fmu(target), Task(TIME, {"tau": TORQUE}, OUTPUTS, tolerance=1e-8)
+    own = {"c": 12.0, "d": 0.03, "J2": 4e-3}
+    plain = fmu.simulate(task, own)
+    np.testing.assert_array_equal(plain, Fmu(drive, "model exchange").simulate(task, own))
+    x, rows = np.zeros(5), [np.zeros(5)]
+    for k, tau in enumerate(TORQUE[:-1]):
+
+        def slope(t: float, x: np.ndarray, tau: float = tau) -> np.ndarray:
+            c = own["c"] * (1 + values.get("c.speed", 0.0) * abs(x[3]))
+            d = own["d"] * (1 + values.get("d.warmth", 0.0) * x[4])
+            inertia = own["J2"] * (1 + values.get("J2.time", 0.0) * t)
+            moved = PLANTS["DRIVE"].slope(x, [tau], (PLANTS["DRIVE"].nominal[0], c, d, inertia))
+            return np.array([*moved, abs(x[2]) - x[4] / 0.2])
+
+        x = solve_ivp(slope, TIME[k : k + 2], x, "LSODA", rtol=1e-9, atol=1e-10).y[:, -1]
+        rows.append(x)
+    reference = np.array(rows)[:, [2, 3, 1]].T
+    for _ in range(2):  # the second time after a reset
+        found = fmu.simulate(task, {**own, **values})
+        np.testing.assert_allclose(found, reference, atol=5e-6 * np.abs(reference).max())
+    assert np.abs(found - plain).max() > 1e-3 * np.abs(plain).max()
+    np.testing.assert_allclose(simulate_fmu(target, task, {**own, **values}, 1e-8), found, atol=1e-9)
+    if "c.speed" in values:
+        with pytest.raises(SimulationError, match="a parameter whose value is zero cannot vary"):
+            fmu.simulate(task, {**own, **values, "c": 0.0})
 
 
 def test_any_tool_can_run_it_and_copies_start_with_their_values(with_laws, tmp_path):

@@ -28,7 +28,7 @@ from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import Subject, carrier, model_of, with_states
-from fmuid.diagnosis.variants import model_exchange, state_of, with_laws
+from fmuid.diagnosis.variants import acts_on, model_exchange, with_laws
 from fmuid.effects.effect import Effect
 from fmuid.identification.identified_models import start_values, write_models
 from fmuid.identification.problem.cases import experiments_of
@@ -212,7 +212,7 @@ class _Document:
         if model.source is None:
             catalogue = self.subject.catalogue
             fmu = model_exchange(model)
-            if fmu is not None and any(e.expression and state_of(e.port, fmu.states) for e in self.effects):
+            if fmu is not None and any(acts_on(fmu, e) for e in self.effects):
                 self.stems[setup] = model.fmu.stem
                 return replace(model, fmu=with_laws(fmu, catalogue, [e for e in self.effects if e.expression])[1])
             if model.coupling is None:

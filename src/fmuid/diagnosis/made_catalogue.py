@@ -22,7 +22,16 @@ from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import read_toml, toml_document, toml_text
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.subject import subject_of
-from fmuid.diagnosis.variants import carrier, exchanged, observed_states, state_of, state_places, with_laws
+from fmuid.diagnosis.variants import (
+    acts_on,
+    carrier,
+    exchanged,
+    observed_states,
+    state_of,
+    state_places,
+    varying_parameters,
+    with_laws,
+)
 from fmuid.diagnosis.varying import varying_lines
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
@@ -284,7 +293,8 @@ def with_catalogue(
         carriers[plain.stem] = carrier(setup.source, catalogue).stem
         models[name] = replace(setup.model, fmu=plain)
     for name, fmu in exchanged(campaign).items():
-        if any(state_of(port, fmu.states) for port in catalogue.ports):
+        effects = catalogue.effects.values()
+        if any(state_of(port, fmu.states) for port in catalogue.ports) or any(acts_on(fmu, e) for e in effects):
             plain, with_all = with_laws(fmu, catalogue)
             carriers[plain.stem] = with_all.stem
             models[name] = replace(models[name], fmu=plain, interface=None)
@@ -383,7 +393,9 @@ def made_catalogue(
             if not known and value is not None and (value or bounds) and parameter not in held:
                 held[parameter] = Held(value, unit, None if spec is None else spec.tolerance, bounds)
     text = catalogue_text(_merged(parts), held, signal_catalogue(recorded))
-    return f"{text}\n{_varying(campaign, text, setups, load, runner)}" if setups else text
+    if not setups and not any(varying_parameters(fmu) for fmu in states.values()):
+        return text
+    return f"{text}\n{_varying(campaign, text, setups, load, runner)}"
 
 
 def _varying(
@@ -398,11 +410,13 @@ def _varying(
     effects = {id: table for id, table in tables["effects"].items() if "expression" not in table}
     plain = _in_cache(toml_document({**tables, "effects": effects}))
     built = {n: replace(s.model, fmu=built_model(s.source)) for n, s in setups.items()}
+    fmus = exchanged(campaign)
+    built |= {n: replace(campaign.models[n], interface="model exchange") for n in fmus}
     spec = replace(_spec(campaign), catalogue=plain)
     campaign = replace(campaign, effects=spec, models={**campaign.models, **built})
     subject = subject_of(campaign, load, runner=runner)
-    flats = {name: setup.flat for name, setup in setups.items()}
-    return "\n".join(varying_lines(subject, campaign, flats, tables["ports"]))
+    models: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **fmus}
+    return "\n".join(varying_lines(subject, campaign, models, tables["ports"]))
 
 
 def _at_states(

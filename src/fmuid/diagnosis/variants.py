@@ -24,12 +24,12 @@ from fmu_build.suggest import suggestion
 from fmu_build.syntax import Part, Reference
 from fmu_build.unit_strings import parse_unit
 from fmuid.core.campaign import Campaign, ModelSource, ModelSpec
-from fmuid.core.errors import CampaignError, SimulationError
+from fmuid.core.errors import CampaignError, FmuError, SimulationError
 from fmuid.core.files import make_folder, remove_unused, user_cache
 from fmuid.core.immutable import FloatArray
 from fmuid.effects.effect import Catalogue, Effect
 from fmuid.simulation.fmu import Fmu, load_fmu
-from fmuid.simulation.fmu_with_laws import StateLaw, carrier_version, write_fmu_with_laws
+from fmuid.simulation.fmu_with_laws import CoefficientLaw, StateLaw, carrier_version, write_fmu_with_laws
 from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
 from fmuid.simulation.simulator import Simulator
 
@@ -395,6 +395,27 @@ def state_of(port: str, states: Collection[str]) -> str | None:
     return next((s for s in states if port == f"der({s})"), None)
 
 
+def varying_parameters(fmu: Fmu) -> list[str]:
+    """Return the parameters of an FMU for model exchange that may vary during a run, none if it has events."""
+    exchange = fmu.description.model_exchange
+    inputs = [v for v in fmu.variables.values() if v.causality == "input"]
+    steady = all(v.variability == "continuous" for v in inputs) and not fmu.description.n_indicators
+    if exchange is None or exchange.once or not steady:
+        return []
+    return [
+        v.name
+        for v in fmu.variables.values()
+        if v.causality == "parameter" and v.type in ("Real", "Float64") and fmu.slots[v.name].size == 1
+    ]
+
+
+def acts_on(fmu: Fmu, effect: Effect) -> bool:
+    """Return whether an effect acts at a state or on a parameter of an FMU for model exchange."""
+    if effect.acts == "parameter":
+        return bool(effect.expression) and effect.port in fmu.slots
+    return bool(effect.expression) and state_of(effect.port, fmu.states) is not None
+
+
 def with_laws(fmu: Fmu, catalogue: Catalogue, effects: Collection[Effect] | None = None) -> tuple[Path, Path]:
     """Return copies of an FMU in the user's cache: as it is, and with the laws and inputs of a catalogue.
 
@@ -406,18 +427,19 @@ def with_laws(fmu: Fmu, catalogue: Catalogue, effects: Collection[Effect] | None
         Its effects and inputs at the FMU's states are added.
     effects
         If given, only these effects and no inputs.
+
+    Raises
+    ------
+    FmuError
+        An effect varies a parameter that cannot vary.
     """
     states = fmu.states
     every = catalogue.effects.values() if effects is None else effects
-    acting = [(e, state) for e in every if e.expression and (state := state_of(e.port, states))]
+    acting = [e for e in every if acts_on(fmu, e)]
     inputs = [(p, s) for p in catalogue.ports.values() if p.added and p.input and (s := state_of(p.name, states))]
     inputs = inputs if effects is None else []
-    laws = [StateLaw(s, e.expression, _off(e), e.states, f"[effects.{e.id!r}]") for e, s in acting]
-    added = [
-        Added(u.name, e.neutral[u.name], e.units.get(u.name, ""), e.description)
-        for e, _ in acting
-        for u in e.unknowns
-    ]
+    laws = [_law(fmu, e) for e in acting]
+    added = list({one.name: one for e in acting for one in e.added(fmu.variables)}.values())
     laws += [StateLaw(s, port.input, where=f"[ports.{port.name!r}] input") for port, s in inputs if port.input]
     added += [Added(port.input, 0.0, port.unit, port.description, input=True) for port, _ in inputs if port.input]
     content = hashlib.sha256(fmu.path.read_bytes()).hexdigest()
@@ -431,6 +453,17 @@ def with_laws(fmu: Fmu, catalogue: Catalogue, effects: Collection[Effect] | None
     if not carrier.is_file():
         write_fmu_with_laws(fmu, laws, added, carrier)
     return plain, carrier
+
+
+def _law(fmu: Fmu, effect: Effect) -> StateLaw | CoefficientLaw:
+    where = f"[effects.{effect.id!r}]"
+    if effect.acts != "parameter":
+        state = state_of(effect.port, fmu.states) or ""
+        return StateLaw(state, effect.expression, _off(effect), effect.states, where)
+    if effect.port not in varying_parameters(fmu):
+        what = f"the parameter '{effect.port}' of {fmu.path.name} cannot vary during a run"
+        raise FmuError(what, where=where, fix="leave the effect out; it needs an FMU without events")
+    return CoefficientLaw(effect.port, effect.expression, _off(effect), effect.states, where)
 
 
 def _off(effect: Effect) -> dict[str, float]:

@@ -28,10 +28,12 @@ from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, project_off
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.variants import varying_parameters
 from fmuid.effects.effect import Effect
 from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws
 from fmuid.identification.problem.cases import LOGGED, logged
-from fmuid.simulation.linear_response import Linearised, LinearResponse
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearResponse
 
 TIME, WARMTH, COEFFICIENT = "time", "warmth", "parameter"
 _MOST = 10  # coefficients that vary, built into a model
@@ -129,19 +131,37 @@ class _Setup:
     """A setup's model, linearised along its runs.
 
     `places` are the numbers of the coefficients in the responses; `index` are the numbers of the setup's cases.
+    Without source, `flat` is None.
     """
 
-    flat: FlatModel
-    linear: Linearised
+    flat: FlatModel | None
+    linear: Linearised | LinearisedFmu
     coefficients: Mapping[str, Coefficient]
     places: Mapping[str, int]
     index: Sequence[int]
     courses: Sequence[Mapping[str, FloatArray]]
     responses: Sequence[LinearResponse]
 
+    def offers(self, variable: str) -> bool:
+        """Return whether coefficients may depend on a variable; without source, only on states and inputs."""
+        return self.linear.direct(variable) if self.flat is None else variable in self.flat.variables
+
+    def near(self, name: str) -> tuple[str, ...]:
+        """Return the variables where a coefficient acts."""
+        c = self.coefficients[name]
+        return c.variables if self.flat is None else (*_ends(self.flat, c), *c.variables)
+
+    def around(self, name: str) -> list[str]:
+        """Return the states that a coefficient may depend on."""
+        states = self.linear.states
+        if len(states) <= _FEW or self.flat is None:
+            return states
+        parts = _around(self.flat, self.coefficients[name])
+        return [v for v in states if self.flat.variables[v].component in parts]
+
 
 def varying_lines(
-    subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel], known: Mapping[str, object]
+    subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], known: Mapping[str, object]
 ) -> list[str]:
     """Return the entries of a catalogue for the coefficients that seem to vary; none if there is no gap.
 
@@ -149,15 +169,15 @@ def varying_lines(
     ----------
     subject
         The plain models with their measurements.
-    flats
-        The flat models of setups that have a source.
+    models
+        The flat models of setups that have a source, and the FMUs of others that offer model exchange.
     known
         Names of the places that the catalogue already has.
     """
     nominal = fit_effects(subject, (), [{}])
     if nominal is None or nominal.gap <= GAP_THAT_MATTERS:
         return []
-    chosen, among = scored(subject, campaign, flats, nominal)
+    chosen, among = scored(subject, campaign, models, nominal)
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     lines: list[str] = []
     for name, unit in {
@@ -168,7 +188,8 @@ def varying_lines(
     for one in chosen:
         source, law = one.source, one.law
         port = Port(one.coefficient.name, "parameter", "parameter", (), (source.unit, one.coefficient.unit), {})  # type: ignore[arg-type]
-        usual = source.near or bool(source.column) or source.name in _measured(subject)
+        usual = source.near or source.name in _measured(subject)
+        usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
         inputs = {source.text: source.unit} if source.column else {}
         over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs, among)
         lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
@@ -176,13 +197,13 @@ def varying_lines(
 
 
 def scored(
-    subject: Subject, campaign: Campaign, flats: Mapping[str, FlatModel], nominal: Fitted
+    subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], nominal: Fitted
 ) -> tuple[list[Scored], int]:
     """Return the dependences that explain more of the residual than noise would, best first.
 
     Also return how many were compared.
     """
-    setups = [s for name, flat in flats.items() if (s := _setup(subject, name, flat, nominal)) is not None]
+    setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
     basis, residual = nominal_basis(nominal.fit, observed), stack(nominal.fit.residuals, observed)
     found: list[Scored] = []
@@ -207,24 +228,32 @@ def scored(
     return [s for s in found if s.drop >= least][:_MOST], among
 
 
-def _setup(subject: Subject, name: str, flat: FlatModel, nominal: Fitted) -> _Setup | None:
+def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Fitted) -> _Setup | None:
     """Return a setup linearised at the refitted parameters; None if no run or no coefficient is there."""
     index = [k for k, case in enumerate(subject.model.cases) if case.setup == name]
-    own = {c.name: c for c in coefficients(flat)}
+    own = _without_source(model) if isinstance(model, Fmu) else {c.name: c for c in coefficients(model)}
     if not index or not own:
         return None
-    # A parameter that varies in one equation only gets a factor there.
-    factors = {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in own.items()}
-    terms = [Term(n, "parameter", f"p*{factor}") for n, factor in factors.items() if factor != n]
-    split = instrument(flat, terms, [Added(factor, 1.0) for n, factor in factors.items() if factor != n])
-    linear = Linearised(compile_flat(split), [*factors.values()])
+    linear: Linearised | LinearisedFmu
+    if isinstance(model, Fmu):
+        flat, linear, factors = None, LinearisedFmu(model, list(own)), {n: n for n in own}
+        wanted = dict.fromkeys(linear.needed)
+    else:
+        # A parameter that varies in one equation only gets a factor there.
+        flat, factors = (
+            model,
+            {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in own.items()},
+        )
+        terms = [Term(n, "parameter", f"p*{factor}") for n, factor in factors.items() if factor != n]
+        split = instrument(flat, terms, [Added(factor, 1.0) for n, factor in factors.items() if factor != n])
+        linear = Linearised(compile_flat(split), [*factors.values()])
+        near = (v for c in own.values() for v in (*c.variables, *_ends(model, c)))
+        wanted = dict.fromkeys([*linear.needed, *near])
     places = {n: linear.parameters.index(factor) for n, factor in factors.items() if factor in linear.parameters}
     cases = [subject.model.cases[k] for k in index]
-    model = replace(subject.model, cases=tuple(cases))
-    wanted = dict.fromkeys([*linear.needed, *(v for c in own.values() for v in (*c.variables, *_ends(flat, c)))])
     wanted |= dict.fromkeys(c.variable for case in cases for c in case.channels)
     names = [n for n in wanted if all(n in case.simulator.variables for case in cases)]
-    rows = model.trajectories(nominal.fit.values, names)
+    rows = replace(subject.model, cases=tuple(cases)).trajectories(nominal.fit.values, names)
     courses, responses = [], []
     for case, row in zip(cases, rows, strict=True):
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
@@ -235,6 +264,13 @@ def _setup(subject: Subject, name: str, flat: FlatModel, nominal: Fitted) -> _Se
         }
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
     return _Setup(flat, linear, {n: own[n] for n in places}, places, index, courses, responses)
+
+
+def _without_source(fmu: Fmu) -> dict[str, Coefficient]:
+    """Return the parameters of an FMU that may vary, which may act at any of its states."""
+    variables, states = fmu.variables, fmu.states
+    names = [n for n in varying_parameters(fmu) if variables[n].start]
+    return {n: Coefficient(n, variables[n].unit or "1", (), states) for n in names}
 
 
 def _ends(flat: FlatModel, c: Coefficient) -> Iterator[str]:
@@ -270,21 +306,17 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
         elif source.near:
             found[same] = replace(found[same], near=True)
 
-    first = having[0]
     units = {v: one.unit or "1" for v, one in cases[0][0].simulator.variables.items()}
     signals = {variable: signal for signal, variable in _measured(subject).items()}
-    own = [v for s in having for v in (*_ends(s.flat, s.coefficients[name]), *s.coefficients[name].variables)]
-    states = [v for s in having for v in s.linear.states]
-    if len(set(states)) > _FEW:
-        around = {c for s in having for c in _around(s.flat, s.coefficients[name])}
-        states = [v for v in states if first.flat.variables[v].component in around] if states else []
+    own = [v for s in having for v in s.near(name)]
+    states = [v for s in having for v in s.around(name)]
     inputs = [n for case, _ in cases for n in case.task.inputs]
     near = {*own}
     # Of variables that are equal, a measured signal or an input names a dependence best.
     ordered = dict.fromkeys([*inputs, *signals, *states, *own])
     for variable in ordered:
-        if all(variable in c for _, c in cases) and variable in first.flat.variables:
-            direct = all(s.linear.kind(variable) in ("x", "u") for s in having)
+        if all(variable in c for _, c in cases) and all(s.offers(variable) for s in having):
+            direct = all(s.linear.direct(variable) for s in having)
             course = tuple(c[variable] for _, c in cases)
             name_ = signals.get(variable, variable)
             offer(Source(name_, variable, units.get(variable, "1"), course, direct, variable in near))

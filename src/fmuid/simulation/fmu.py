@@ -379,6 +379,58 @@ class Fmu(Simulator):
                 self._renewal = "reset" if same else "instantiate"
         return predictions
 
+    def linearise(
+        self, task: Task, parameters: Mapping[str, float], knots: FloatArray, x: FloatArray, *, slopes: bool = True
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Evaluate the FMU for model exchange, initialised as for a run, at points of it.
+
+        Derivatives by the states are the FMU's own where it offers directional derivatives.
+
+        Parameters
+        ----------
+        task, parameters
+            The run.
+        knots
+            (K,) numbers of samples: their times and inputs are used.
+        x
+            (K, n) states there.
+        slopes
+            Whether to return derivatives by the states as well.
+
+        Returns
+        -------
+        f, y, derivatives
+            (K, n) derivatives, (K, q) outputs, and (K, n + q, n) derivatives of both by the states.
+
+        Raises
+        ------
+        SimulationError
+            The FMU cannot be evaluated there.
+        """
+        with self._lock:
+            prepared = self.prepare(task, parameters)
+            plan, places = prepared.plan, knots.astype(np.intp)
+            k, n, q = len(places), x.shape[1], len(task.outputs)
+            times = np.ascontiguousarray(prepared.task.time[places])
+            inputs = np.ascontiguousarray(prepared.inputs[places])
+            x = np.ascontiguousarray(x)
+            steps = 1e-5 * np.maximum(np.abs(x).max(axis=0), 1e-6)
+            names = [*self.states, *self.derivatives.values(), *task.outputs]
+            references = np.array([self._slots[name].reference for name in names], dtype=np.uint32)
+            offered = self._described.directional and all(self._slots[name].size == 1 for name in names)
+            f, y, rows = np.zeros((k, n)), np.zeros((k, q)), np.zeros((k, n, n + q))
+            self.engage(prepared)
+            arrays = (times, x, inputs, steps, references, f, y, rows, np.zeros(3 * n + 2 * q + 1))
+            used = [a.ctypes.data for a in arrays]
+            used[4] = used[4] if offered else None
+            used[7] = used[7] if slopes else None
+            outcome = stepper.library().fmuid_linearise(plan, k, *used)
+            if outcome != Outcome.DONE:
+                error = self.failure(Outcome(outcome), prepared)
+                self.discard(plan.status == _FATAL)
+                raise error
+            return f, y, rows.transpose(0, 2, 1)
+
     def engage(self, prepared: PreparedTask) -> None:
         """Give the plan an instance to run on, a new one if a reset is not equivalent; see `discard`."""
         library = self._load()

@@ -59,9 +59,9 @@ class DescribedVariable:
 class DescribedInterface:
     """Co-simulation or model exchange as offered by an FMU; `identifier` is the name of its library.
 
-    `needs_tool` says that the tool that exported it must be installed, and `once` that a process can only
-    instantiate it once. If it cannot take steps of `any_step` size, `fixed_step` is the size that
-    it declares (s), if any.
+    `needs_tool` says that the tool that exported it must be installed, `once` that a process can only
+    instantiate it once, and `directional` that it offers directional derivatives. If it cannot
+    take steps of `any_step` size, `fixed_step` is the size that it declares (s), if any.
     """
 
     identifier: str
@@ -71,6 +71,7 @@ class DescribedInterface:
     needs_completed_step: bool
     needs_tool: bool = False
     once: bool = False
+    directional: bool = False
     fixed_step: float | None = None
 
 
@@ -224,6 +225,7 @@ def _interface(element: Element | None, fmi: int, step: str | None = None) -> De
         ),
         needs_tool=_true(element, "needsExecutionTool"),
         once=_true(element, "canBeInstantiatedOnlyOncePerProcess"),
+        directional=_true(element, "providesDirectionalDerivative" + ("s" if fmi == 3 else "")),
         fixed_step=None if any_step or step is None or not float(step) > 0 else float(step),
     )
 

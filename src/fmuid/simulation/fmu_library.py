@@ -26,6 +26,7 @@ _NAMES = {
     "GET_STATES": "GetContinuousStates",
     "GET_INDICATORS": "GetEventIndicators",
     "GET_NOMINALS": "GetNominalsOfContinuousStates",
+    "GET_DIRECTIONAL_DERIVATIVE": "GetDirectionalDerivative",
 }
 _NAMES_OF_VERSION = {
     2: _NAMES

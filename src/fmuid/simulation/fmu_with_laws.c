@@ -41,6 +41,8 @@ typedef struct {
 typedef struct { /* a scalar of the contained FMU */
     uint32_t reference;
     int32_t element, input; /* column of an input, or -1 */
+    int given;              /* a value has been set since the last reset */
+    double value;
     Group set, get;
 } Scalar;
 
@@ -141,7 +143,7 @@ static int read_all(Me *me, FILE *file)
     char text[LONGEST], path[2 * LONGEST];
     int fmi, completed;
     size_t n_states, n_indicators;
-    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "2") || !read_line(file, "library", text) ||
+    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "3") || !read_line(file, "library", text) ||
         !read_line(file, "name", me->name) || !read_line(file, "token", me->token))
         return 0;
     snprintf(path, sizeof path, "%s/contained/%s", me->resources, text);
@@ -176,7 +178,7 @@ static int read_all(Me *me, FILE *file)
             group->column = me->column + me->scalar[i].input;
         }
     }
-    if (!read_laws(&me->run.laws, file, n_states)) return 0;
+    if (!read_laws(&me->run.laws, file, n_states, me->n_scalars)) return 0;
     me->default_parameter = calloc(me->run.laws.n_parameters + 1, sizeof(double));
     me->default_input = calloc(me->n_own_inputs + 1, sizeof(double));
     if (!me->default_parameter || !me->default_input) return 0;
@@ -218,7 +220,7 @@ static char *local_path(const char *location)
     return path;
 }
 
-static int instantiate(Me *me)
+static Instance instantiated(Me *me)
 {
     char resources[2 * LONGEST];
     Plan *plan = &me->run.plan;
@@ -231,21 +233,31 @@ static int instantiate(Me *me)
         }
         strcpy(resources + n, "/contained/resources");
         void *(*make)(const char *, int, const char *, const char *, const void *, int, int) = function_of(me, "Instantiate");
-        plan->instance = make ? make(me->name, 0, me->token, resources, &me->callbacks, 0, 0) : NULL;
-    } else {
-        snprintf(resources, sizeof resources, "%s/contained/resources/", me->resources);
-        void *(*make)(const char *, const char *, const char *, bool, bool, void *, void *) =
-            function_of(me, "InstantiateModelExchange");
-        plan->instance = make ? make(me->name, me->token, resources, false, false, me, (void *)log_of_contained) : NULL;
+        return make ? make(me->name, 0, me->token, resources, &me->callbacks, 0, 0) : NULL;
     }
-    return plan->instance ? OK : report(me, "the contained FMU cannot be instantiated");
+    snprintf(resources, sizeof resources, "%s/contained/resources/", me->resources);
+    void *(*make)(const char *, const char *, const char *, bool, bool, void *, void *) =
+        function_of(me, "InstantiateModelExchange");
+    return make ? make(me->name, me->token, resources, false, false, me, (void *)log_of_contained) : NULL;
 }
 
-static void free_contained(Me *me)
+static int instantiate(Me *me)
 {
-    void (*release)(Instance) = function_of(me, "FreeInstance");
-    if (me->run.plan.instance && release) release(me->run.plan.instance);
-    me->run.plan.instance = NULL;
+    me->run.plan.instance = instantiated(me);
+    return me->run.plan.instance ? OK : report(me, "the contained FMU cannot be instantiated");
+}
+
+static void release(Me *me, Instance *instance)
+{
+    void (*free_instance)(Instance) = function_of(me, "FreeInstance");
+    if (*instance && free_instance) free_instance(*instance);
+    *instance = NULL;
+}
+
+static void release_aside(Me *me)
+{
+    for (size_t i = 0; me->run.laws.coefficient && i < me->run.laws.n_coefficients; i++)
+        for (int k = 0; k < 2; k++) release(me, &me->run.laws.coefficient[i].instance[k]);
 }
 
 static int set(Me *me, unsigned reference, double value)
@@ -256,6 +268,7 @@ static int set(Me *me, unsigned reference, double value)
         if (scalar->input >= 0) me->inputs[scalar->input] = value;
         if (scalar->input >= 0 && me->initialised) return OK; /* it acts in the next step */
         if (scalar->set.n_values > 1) return report(me, "arrays are not set element by element");
+        scalar->given = 1, scalar->value = value;
         if (set_values(&me->run.plan, &scalar->set, 1, &value) == DONE) return OK;
         return report(me, "the contained FMU refuses the value %g of variable %u", value, reference);
     }
@@ -293,6 +306,8 @@ static int begin(Me *me)
     memset(me->inputs, 0, 2 * me->run.plan.n_inputs * sizeof(double));
     memset(me->slope, 0, me->run.plan.n_inputs * sizeof(double));
     me->initialised = me->stepped = me->terminated = 0;
+    for (size_t i = 0; i < me->n_scalars; i++) me->scalar[i].given = 0;
+    release_aside(me);
     memcpy(me->inputs, me->default_input, me->n_own_inputs * sizeof(double)); /* many FMUs are not read before their initialisation */
     snprintf(path, sizeof path, "%s/start_values.txt", me->resources);
     FILE *file = fopen(path, "r");
@@ -313,7 +328,7 @@ API void fmi2FreeInstance(void *c)
 {
     Me *me = c;
     if (!me) return;
-    if (me->library) free_contained(me), close_library(me->library);
+    if (me->library) release_aside(me), release(me, &me->run.plan.instance), close_library(me->library);
     for (size_t i = 0; me->scalar && i < me->n_scalars; i++) free(me->scalar[i].set.buffer);
     free_laws(&me->run.laws);
     free(me->run.plan.work), free(me->run.plan.pivots), free(me->scalar), free(me->input_group), free(me->inputs);
@@ -373,14 +388,56 @@ API int fmi2SetupExperiment(void *c, int given, double tolerance, double start, 
     return setup ? setup(plan->instance, 1, plan->tolerance, start, 0, 0) : OK;
 }
 
-API int fmi2EnterInitializationMode(void *c)
+static int enter_initialization(Me *me, const Plan *plan)
 {
-    Me *me = c;
-    Plan *plan = &me->run.plan;
-    if (!plan->tolerance_defined) fmi2SetupExperiment(me, 0, 0, 0, 0, 0);
     if (plan->fmi == 2) return ((Plain)plan->function[ENTER_INITIALIZATION])(plan->instance);
     return ((int32_t (*)(Instance, bool, double, double, bool, double))plan->function[ENTER_INITIALIZATION])(
         plan->instance, true, plan->tolerance, me->time[0], false, 0);
+}
+
+API int fmi2EnterInitializationMode(void *c)
+{
+    Me *me = c;
+    if (!me->run.plan.tolerance_defined) fmi2SetupExperiment(me, 0, 0, 0, 0, 0);
+    return enter_initialization(me, &me->run.plan);
+}
+
+/* Bring a further instance, with another value of a parameter, to where derivatives can be read. */
+static int32_t begin_aside(Me *me, Plan *plan, size_t parameter, double value)
+{
+    if (plan->fmi == 2 && plan->function[SETUP_EXPERIMENT])
+        CALL(SETUP_EXPERIMENT, int32_t (*)(Instance, int, double, double, int, double), plan->instance, 1, plan->tolerance,
+             me->time[0], 0, 0.0);
+    for (size_t i = 0; i < me->n_scalars; i++) {
+        Scalar *scalar = me->scalar + i;
+        if (i == parameter) TRY(set_values(plan, &scalar->set, 1, &value));
+        else if (scalar->given) TRY(set_values(plan, &scalar->set, 1, &scalar->value));
+    }
+    int32_t status = enter_initialization(me, plan);
+    if (status > WARNING) return fail(plan, ENTER_INITIALIZATION, status);
+    TRY(set_values(plan, plan->input_groups, plan->n_input_groups, me->inputs));
+    CALL(EXIT_INITIALIZATION, Plain, plan->instance);
+    plan->reached = 0; /* the states of the run are kept */
+    return settle_events(plan);
+}
+
+static int look_for_coefficients(Me *me)
+{
+    for (size_t i = 0; i < me->run.laws.n_coefficients; i++) {
+        Coefficient *one = me->run.laws.coefficient + i;
+        if (!one->active) continue;
+        if (get(me, (unsigned)one->scalar, &one->own) != OK) return ERROR;
+        if (one->own == 0) return report(me, "a parameter whose value is zero cannot vary by a share of it");
+        one->at[0] = 1.25 * one->own, one->at[1] = 0.8 * one->own;
+        for (int k = 0; k < 2; k++) {
+            Plan aside = me->run.plan;
+            aside.instance = one->instance[k] = instantiated(me);
+            if (!aside.instance) return report(me, "the contained FMU cannot be instantiated again");
+            if (begin_aside(me, &aside, one->scalar, one->at[k]) != DONE)
+                return report(me, "a further instance of the contained FMU cannot be initialised");
+        }
+    }
+    return OK;
 }
 
 API int fmi2ExitInitializationMode(void *c)
@@ -392,6 +449,7 @@ API int fmi2ExitInitializationMode(void *c)
     plan->n_states = me->run.laws.n_states + (me->run.n_added = activate_laws(&me->run.laws));
     plan->reached = -1, plan->reached_time = me->time[0], plan->n_slopes = 0, plan->n_slope_groups = 0;
     memset(plan->work, 0, plan->n_states * sizeof(double));
+    if (look_for_coefficients(me) != OK) return ERROR;
     int32_t found = begin_model_exchange(plan);
     plan->reached = 0;
     me->initialised = 1;
@@ -443,7 +501,7 @@ API int fmi2Reset(void *c)
     Me *me = c;
     me->run.plan.tolerance_defined = 0;
     if (!me->run.plan.function[RESET] || ((Plain)me->run.plan.function[RESET])(me->run.plan.instance) > WARNING) {
-        free_contained(me);
+        release(me, &me->run.plan.instance);
         if (instantiate(me) != OK) return ERROR;
     }
     return begin(me);

@@ -34,6 +34,30 @@ _TYPES = {"Boolean": "Boolean", "Real": "Real", "Float64": "Real", "Float32": "R
 
 
 @dataclass(frozen=True)
+class CoefficientLaw:
+    """A law of a parameter, which varies during a run: derivatives are those for another value of it.
+
+    The derivatives have to be quotients of lines in the parameter, ``(a + b*p)/(1 + c*p)``, as in a stiffness, a
+    conductance or an inertia, and outputs must not depend on it directly.
+
+    Attributes
+    ----------
+    parameter
+        Name of the parameter; its value must not be zero.
+    value
+        Expression of its value, as in `StateLaw.flow`; ``p`` is the value that is set.
+    off, states, where
+        As in `StateLaw`.
+    """
+
+    parameter: str
+    value: str
+    off: Mapping[str, float] = field(default_factory=dict)
+    states: tuple[State, ...] = ()
+    where: str = ""
+
+
+@dataclass(frozen=True)
 class StateLaw:
     """A law at a state: ``der(state)`` is reduced by `flow`, a Modelica expression.
 
@@ -59,7 +83,9 @@ class StateLaw:
     where: str = ""
 
 
-def write_fmu_with_laws(fmu: Fmu, laws: Sequence[StateLaw], added: Sequence[Added], target: Path) -> None:
+def write_fmu_with_laws(
+    fmu: Fmu, laws: Sequence[StateLaw | CoefficientLaw], added: Sequence[Added], target: Path
+) -> None:
     """Write an FMU that contains `fmu` and adds laws to its derivatives.
 
     The same FMU and laws give the same bytes.
@@ -128,7 +154,7 @@ class _Contents:
     """The files of an FMU with laws."""
 
     fmu: Fmu
-    laws: Sequence[StateLaw]
+    laws: Sequence[StateLaw | CoefficientLaw]
     added: Sequence[Added]
 
     @cached_property
@@ -145,6 +171,13 @@ class _Contents:
     @cached_property
     def _parameters(self) -> list[Added]:
         return [one for one in self.added if not one.input]
+
+    @cached_property
+    def _coefficients(self) -> dict[str, int]:
+        """The parameters that vary, with their numbers among the scalars."""
+        places = {v.name: i for i, (v, _) in enumerate(self._scalars)}
+        wanted = dict.fromkeys(law.parameter for law in self.laws if isinstance(law, CoefficientLaw))
+        return {name: places[name] for name in wanted}
 
     @cached_property
     def _law_inputs(self) -> list[Added]:
@@ -167,13 +200,14 @@ class _Contents:
         ]
         return "\n".join(
             [
-                "fmuid-laws 2",
+                "fmuid-laws 3",
                 f"library binaries/{library_name(fmu.version, exchange.identifier).as_posix()}",
                 f"name {described.name}",
                 f"token {described.token}",
                 " ".join(map(str, numbers)),
                 *scalars,
                 f"{len(self._parameters)} {sum(len(law.states) for law in self.laws)} {len(self.laws)}",
+                " ".join(map(str, (len(self._coefficients), *self._coefficients.values()))),
                 *self._law_lines(),
                 *(bits(one.value) for one in self._parameters),
                 *(bits(fmu.variables[name].start or 0.0) for name in self._inputs),
@@ -189,14 +223,20 @@ class _Contents:
         inputs = [*self._inputs, *(one.name for one in self._law_inputs)]
         names |= {name: Operand("INPUT", i) for i, name in enumerate(inputs)}
         names |= {name: Operand("PARAMETER", i) for name, i in numbers.items()}
+        coefficients = {name: i for i, name in enumerate(self._coefficients)}
         inner = 0
         for law in self.laws:
             here = {s.name: Operand("ADDED_STATE", inner + i) for i, s in enumerate(law.states)}
             inner += len(law.states)
             meant = {**names, **here}
             sizes = " ".join(f"{numbers[name]} {bits(value)}" for name, value in law.off.items())
-            yield f"{len(law.off)} 1 {len(law.states)} {sizes}"
-            yield f"{states[law.state]} {code_of(law.flow, meant, law.where)}"
+            if isinstance(law, CoefficientLaw):
+                own = coefficients[law.parameter]
+                yield f"{len(law.off)} 1 {len(law.states)} {own + 1} {sizes}"
+                yield f"0 {code_of(law.value, {**meant, 'p': Operand('OWN', own)}, law.where)}"
+            else:
+                yield f"{len(law.off)} 1 {len(law.states)} 0 {sizes}"
+                yield f"{states[law.state]} {code_of(law.flow, meant, law.where)}"
             for state in law.states:
                 yield code_of(state.derivative, meant, law.where)
                 yield code_of(state.start, meant, law.where)

@@ -13,7 +13,7 @@ from fmu_build.suggest import suggestion
 from fmu_build.syntax import Binary, Call, Expression, If, Literal, Reference, Unary
 
 OPERATIONS = (
-    "CONSTANT", "STATE", "DERIVATIVE", "INPUT", "PARAMETER", "TIME", "ADDED_STATE",
+    "CONSTANT", "STATE", "DERIVATIVE", "INPUT", "PARAMETER", "TIME", "ADDED_STATE", "OWN",
     "ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "POWER", "LESS", "AT_MOST", "EQUAL", "AND", "OR",
     "MINIMUM", "MAXIMUM", "ATAN2", "NEGATE", "NOT", "ABS", "SIGN", "SQRT", "EXP", "LOG", "LOG10",
     "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "JUMP", "UNLESS",

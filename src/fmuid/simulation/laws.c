@@ -39,6 +39,7 @@ static double value_of(const Program *program, const Point *at)
         case INPUT: *++top = at->input[now->index]; break;
         case PARAMETER: *++top = at->laws->parameter[now->index]; break;
         case TIME: *++top = at->t; break;
+        case OWN: *++top = at->laws->coefficient[now->index].own; break;
         case ADDED_STATE: *++top = at->x[at->n_own + at->laws->place[now->index]]; break;
         case NEGATE: *top = -*top; break;
         case NOT: *top = *top == 0; break;
@@ -73,16 +74,49 @@ static Point point(const Plan *plan, const double *input, double t, const double
 
 size_t added_states(const Plan *plan) { return ((const PlanWithLaws *)plan)->n_added; }
 
-void add_laws(const Plan *plan, const double *input, double t, const double *x, double *f)
+/* Derivatives of the instances of a coefficient at a point. */
+static int32_t look_aside(Plan *plan, const Coefficient *coefficient, const Point *at)
+{
+    for (int i = 0; i < 2; i++) {
+        Plan aside = *plan;
+        aside.instance = coefficient->instance[i];
+        int32_t outcome = derivatives_at(&aside, at->input, at->t, at->x, at->n_own, coefficient->f[i]);
+        plan->call = aside.call, plan->status = aside.status;
+        TRY(outcome);
+    }
+    return DONE;
+}
+
+/* The quotient of lines through three points, at p. */
+static double between(const double p[3], const double f[3], double at)
+{
+    double first = f[1] - f[0], second = f[1] - f[2], size = fabs(f[0]) + fabs(f[1]) + fabs(f[2]);
+    if (fabs(first) + fabs(second) <= 1e-13 * size || at == p[0]) return f[0];
+    if (at == p[2]) return f[2];
+    if (second == 0) return f[0] + (at - p[0]) * first / (p[1] - p[0]);
+    double ratio = (at - p[0]) * (p[1] - p[2]) / ((at - p[2]) * (p[1] - p[0])) * first / second;
+    return f[0] + ratio * (f[0] - f[2]) / (1 - ratio);
+}
+
+int32_t add_laws(Plan *plan, const double *input, double t, const double *x, double *f)
 {
     const Point at = point(plan, input, t, x);
     const Laws *laws = at.laws;
     memcpy(laws->plain, f, at.n_own * sizeof *f);
+    for (const Coefficient *one = laws->coefficient; one < laws->coefficient + laws->n_coefficients; one++)
+        if (one->active) TRY(look_aside(plan, one, &at));
     for (const Law *law = laws->law; law < laws->law + laws->n_laws; law++) {
         if (!law->active) continue;
-        for (size_t i = 0; i < law->n_terms; i++) f[law->term[i].target] -= value_of(&law->term[i].flow, &at);
+        if (law->coefficient != NONE) {
+            const Coefficient *c = laws->coefficient + law->coefficient;
+            const double p[3] = {c->own, c->at[0], c->at[1]}, value = value_of(&law->term[0].flow, &at);
+            for (size_t i = 0; i < at.n_own; i++)
+                f[i] += between(p, (const double[3]){laws->plain[i], c->f[0][i], c->f[1][i]}, value) - laws->plain[i];
+        } else
+            for (size_t i = 0; i < law->n_terms; i++) f[law->term[i].target] -= value_of(&law->term[i].flow, &at);
         for (size_t i = 0; i < law->n_inner; i++) f[at.n_own + law->inner[i].place] = value_of(&law->inner[i].derivative, &at);
     }
+    return DONE;
 }
 
 void start_laws(const Plan *plan, const double *input, double t, double *x)
@@ -96,9 +130,11 @@ void start_laws(const Plan *plan, const double *input, double t, double *x)
 size_t activate_laws(Laws *laws)
 {
     size_t n = 0, number = 0;
+    for (size_t i = 0; i < laws->n_coefficients; i++) laws->coefficient[i].active = 0;
     for (Law *law = laws->law; law < laws->law + laws->n_laws; law++) {
         law->active = law->n_sizes == 0;
         for (size_t i = 0; i < law->n_sizes; i++) law->active |= laws->parameter[law->size[i]] != law->neutral[i];
+        if (law->active && law->coefficient != NONE) laws->coefficient[law->coefficient].active = 1;
         for (size_t i = 0; i < law->n_inner; i++, number++)
             if (law->active) law->inner[i].place = laws->place[number] = n++;
     }
@@ -133,6 +169,7 @@ static int read_program(Program *program, FILE *file, const Laws *laws)
         if ((op == STATE || op == DERIVATIVE) && index >= laws->n_states) return 0;
         if (op == PARAMETER && index >= laws->n_parameters) return 0;
         if (op == ADDED_STATE && index >= laws->n_inner) return 0;
+        if (op == OWN && index >= laws->n_coefficients) return 0;
         if ((op == JUMP || op == UNLESS) && (index > program->n || index <= (size_t)(now - program->code))) return 0;
         /* Of the two ways of an `if`, each leaves one value; the second begins after the first has been counted. */
         depth += op < ADD ? 1 : (op <= ATAN2 || op == UNLESS || op == JUMP) ? -1 : 0;
@@ -141,22 +178,30 @@ static int read_program(Program *program, FILE *file, const Laws *laws)
     return depth == 1;
 }
 
-int read_laws(Laws *laws, FILE *file, size_t n_states)
+int read_laws(Laws *laws, FILE *file, size_t n_states, size_t n_scalars)
 {
     laws->n_states = n_states;
     if (!read_size(file, 100000, &laws->n_parameters) || !read_size(file, 100000, &laws->n_inner) ||
-        !read_size(file, 100000, &laws->n_laws))
+        !read_size(file, 100000, &laws->n_laws) || !read_size(file, 100000, &laws->n_coefficients))
         return 0;
+    laws->coefficient = calloc(laws->n_coefficients + 1, sizeof(Coefficient));
+    for (size_t i = 0; laws->coefficient && i < laws->n_coefficients; i++) {
+        Coefficient *one = laws->coefficient + i;
+        one->f[0] = calloc(n_states + 1, sizeof(double)), one->f[1] = calloc(n_states + 1, sizeof(double));
+        if (!one->f[0] || !one->f[1] || !read_size(file, n_scalars - 1, &one->scalar)) return 0;
+    }
     laws->parameter = calloc(laws->n_parameters + 1, sizeof(double));
     laws->place = calloc(laws->n_inner + 1, sizeof(size_t));
     laws->plain = calloc(n_states + 1, sizeof(double));
     laws->law = calloc(laws->n_laws + 1, sizeof(Law));
-    if (!laws->parameter || !laws->place || !laws->plain || !laws->law) return 0;
+    if (!laws->parameter || !laws->place || !laws->plain || !laws->law || !laws->coefficient) return 0;
     size_t inner = 0;
     for (Law *law = laws->law; law < laws->law + laws->n_laws; law++) {
         if (!read_size(file, laws->n_parameters, &law->n_sizes) || !read_size(file, n_states, &law->n_terms) ||
-            !read_size(file, laws->n_inner - inner, &law->n_inner))
+            !read_size(file, laws->n_inner - inner, &law->n_inner) || !read_size(file, laws->n_coefficients, &law->coefficient))
             return 0;
+        law->coefficient = law->coefficient ? law->coefficient - 1 : NONE; /* counted from one, zero: none */
+        if (law->coefficient != NONE && law->n_terms != 1) return 0;
         inner += law->n_inner;
         law->size = calloc(law->n_sizes + 1, sizeof *law->size);
         law->neutral = calloc(law->n_sizes + 1, sizeof *law->neutral);
@@ -184,5 +229,7 @@ void free_laws(Laws *laws)
             free(law->inner[i].derivative.code), free(law->inner[i].start.code);
         free(law->size), free(law->neutral), free(law->term), free(law->inner);
     }
-    free(laws->law), free(laws->parameter), free(laws->place), free(laws->plain);
+    for (size_t i = 0; laws->coefficient && i < laws->n_coefficients; i++)
+        free(laws->coefficient[i].f[0]), free(laws->coefficient[i].f[1]);
+    free(laws->coefficient), free(laws->law), free(laws->parameter), free(laws->place), free(laws->plain);
 }

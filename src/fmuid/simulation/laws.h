@@ -14,11 +14,12 @@
 
 /* Operations; mirrored in law_code.py. Those before ADD push a value; JUMP and UNLESS go to an instruction. */
 enum {
-    CONSTANT, STATE, DERIVATIVE, INPUT, PARAMETER, TIME, ADDED_STATE, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, LESS, AT_MOST,
+    CONSTANT, STATE, DERIVATIVE, INPUT, PARAMETER, TIME, ADDED_STATE, OWN, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, LESS, AT_MOST,
     EQUAL, AND, OR, MINIMUM, MAXIMUM, ATAN2, NEGATE, NOT, ABS, SIGN, SQRT, EXP, LOG, LOG10, SIN, COS, TAN, ASIN, ACOS, ATAN,
     SINH, COSH, TANH, JUMP, UNLESS, N_OPERATIONS
 };
 enum { DEEPEST = 64 };
+#define NONE SIZE_MAX
 
 typedef struct { int32_t operation, index; double value; } Instruction;
 typedef struct { size_t n; Instruction *code; } Program;
@@ -30,11 +31,22 @@ typedef struct {
     double *neutral;   /* ... and their values at which it is off; without any, it is always on */
     Term *term;
     Inner *inner;
+    size_t coefficient; /* its only term is the value of this coefficient; NONE: terms are flows */
     int active;
 } Law;
+/* A parameter of the FMU that laws may vary during a run. Parameters are fixed then, so two further instances show the derivatives
+ * at other values of it. In between, a derivative is taken for a quotient of lines, (a + b p)/(1 + c p), as it is for stiffnesses,
+ * conductances, inertias and their like. */
 typedef struct {
-    size_t n_laws, n_parameters, n_states;
+    size_t scalar;      /* its number in the FMU */
+    Instance instance[2];
+    double own, at[2], *f[2]; /* its value in the run, those of the instances, and their derivatives */
+    int active;
+} Coefficient;
+typedef struct {
+    size_t n_laws, n_parameters, n_states, n_coefficients;
     Law *law;
+    Coefficient *coefficient;
     double *parameter;
     double *plain;     /* derivatives of the FMU */
     size_t *place;     /* of each law's state among the active ones */
@@ -48,7 +60,7 @@ typedef struct {
 } PlanWithLaws;
 
 int read_double(FILE *file, double *value);
-int read_laws(Laws *laws, FILE *file, size_t n_states);
+int read_laws(Laws *laws, FILE *file, size_t n_states, size_t n_scalars);
 void free_laws(Laws *laws);
 size_t activate_laws(Laws *laws); /* number of states that the active ones have */
 

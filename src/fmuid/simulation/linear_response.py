@@ -17,6 +17,8 @@ from scipy.linalg import expm
 
 from fmu_build.model import CompiledModel, Variable
 from fmuid.core.immutable import FloatArray
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.simulator import Task
 
 _NEWTON = 6  # iterations for the unknowns of algebraic loops, which the run itself already gives to its tolerance
 _MOST = 1500  # samples of a run at which it is linearised; responses are lines between them
@@ -107,6 +109,10 @@ class Linearised:
         v = self._by_name.get(name)
         return "" if v is None else v.location.vector
 
+    def direct(self, name: str) -> bool:
+        """Return whether a variable is a state or an input."""
+        return self.kind(name) in ("x", "u")
+
     def along(
         self,
         time: FloatArray,
@@ -128,8 +134,7 @@ class Linearised:
             Variables whose responses are wanted.
         """
         m, f = self._model, self._model.functions
-        stride = -(-len(time) // _MOST)
-        knots = np.unique([*range(0, len(time), stride), len(time) - 1])
+        knots = _knots(time)
         n = len(knots)
 
         def rows(vector: str, size: int) -> FloatArray:
@@ -219,13 +224,105 @@ class Linearised:
                     place.sign * states[:, place.index],
                     place.sign * parameters[:, place.index],
                 )
-        step = np.diff(time[knots])[:, None, None]
-        joined = np.zeros((n - 1, 2 * nx, 2 * nx))
-        joined[:, :nx, :nx] = 0.5 * (a[1:] + a[:-1]) * step
-        joined[:, :nx, nx:] = np.eye(nx) * step
-        passed = expm(joined) if nx else joined
-        driven = passed[:, :nx, nx:] @ (0.5 * (b[1:] + b[:-1]))
-        return LinearResponse(time, knots, passed[:, :nx, :nx], driven, c, direct)
+        return _response(time, knots, (a, b), (c, direct))
+
+
+class LinearisedFmu:
+    """An FMU for model exchange whose Jacobians are evaluated along runs.
+
+    Derivatives by states are the FMU's directional derivatives where it offers them, else central differences.
+    Those by parameters compare instances with other values, because parameters are fixed during a run.
+
+    Parameters
+    ----------
+    fmu
+        The FMU.
+    parameters
+        Names of the parameters that vary.
+    """
+
+    def __init__(self, fmu: Fmu, parameters: Sequence[str]) -> None:
+        self._fmu = fmu
+        self.parameters = list(parameters)
+
+    @property
+    def states(self) -> list[str]:
+        """Names of the states."""
+        return list(self._fmu.states)
+
+    @property
+    def needed(self) -> list[str]:
+        """Variables whose courses linearisation needs."""
+        return self.states
+
+    def direct(self, name: str) -> bool:
+        """Return whether a variable is a state or an input."""
+        return name in self.states or self._fmu.variables[name].causality == "input"
+
+    def along(
+        self,
+        time: FloatArray,
+        courses: Mapping[str, FloatArray],
+        values: Mapping[str, float],
+        outputs: Sequence[str],
+    ) -> LinearResponse:
+        """Linearise the FMU along a run; see `Linearised.along`.
+
+        Parameters that outputs depend on directly, or on which derivatives do not depend as quotients of lines,
+        have the response zero.
+        """
+        fmu, knots = self._fmu, _knots(time)
+        inputs = {n: u for n, u in courses.items() if n in fmu.variables and fmu.variables[n].causality == "input"}
+        x = np.array([courses[n][knots] for n in self.states]).T
+        own = {n: v for n, v in values.items() if n in fmu.slots and not fmu.slots[n].refusal and n not in inputs}
+        task = Task(time, inputs, tuple(outputs), own)
+        f, _, slopes = fmu.linearise(task, {}, knots, x)
+        n, size, nx = len(knots), len(self.parameters), len(self.states)
+        b = np.zeros((n, nx, size))
+        for j, name in enumerate(self.parameters):
+            p = own.get(name, fmu.variables[name].start or 0.0)
+            at = {k: fmu.linearise(task, {name: k * p}, knots, x, slopes=False) for k in _FACTORS}
+            steady = all(np.allclose(y, at[_FACTORS[0]][1], rtol=1e-9, atol=0.0) for _, y, _ in at.values())
+            low, high, far = (at[k][0] for k in _FACTORS[2:])
+            if steady and _as_quotients(f, low, high, far):
+                b[:, :, j] = (at[_FACTORS[1]][0] - at[_FACTORS[0]][0]) / (_FACTORS[1] - _FACTORS[0])
+        c, direct = slopes[:, nx:], np.zeros((n, len(outputs), size))
+        return _response(time, knots, (slopes[:, :nx], b), (c, direct))
+
+
+_FACTORS = (1.0 - 1e-4, 1.0 + 1e-4, 0.8, 1.25, 1.5)  # on a parameter: for derivatives by it, and for their shape
+
+
+def _as_quotients(f: FloatArray, low: FloatArray, high: FloatArray, far: FloatArray) -> bool:
+    """Return whether derivatives at the last factors are those of quotients of lines in a parameter."""
+    first, second = high - f, high - low
+    near = np.abs(second) <= 1e-9 * np.abs(f).max(axis=0)
+    with np.errstate(all="ignore"):
+        k = (0.5 * 0.45) / (0.7 * 0.25) * first / second  # as `between` in laws.c
+        guessed = np.where(near, f, f + k * (f - low) / (1.0 - k))
+    return bool(np.abs(guessed - far).max() <= 1e-3 * max(float(np.abs(far - f).max()), 1e-12))
+
+
+def _knots(time: FloatArray) -> FloatArray:
+    stride = -(-len(time) // _MOST)
+    return np.unique([*range(0, len(time), stride), len(time) - 1])
+
+
+def _response(
+    time: FloatArray,
+    knots: FloatArray,
+    moving: tuple[FloatArray, FloatArray],
+    shown: tuple[FloatArray, FloatArray],
+) -> LinearResponse:
+    """Return the response of a model from the Jacobians of its derivatives and of its outputs."""
+    a, b = moving
+    nx, step = a.shape[1], np.diff(time[knots])[:, None, None]
+    joined = np.zeros((len(knots) - 1, 2 * nx, 2 * nx))
+    joined[:, :nx, :nx] = 0.5 * (a[1:] + a[:-1]) * step
+    joined[:, :nx, nx:] = np.eye(nx) * step
+    passed = expm(joined) if nx else joined
+    driven = passed[:, :nx, nx:] @ (0.5 * (b[1:] + b[:-1]))
+    return LinearResponse(time, knots, passed[:, :nx, :nx], driven, *shown)
 
 
 def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:

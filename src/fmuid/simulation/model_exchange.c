@@ -87,7 +87,7 @@ static int32_t derivatives(Plan *plan, const Work *w, size_t k, double t, const 
 {
     TRY(set_point(plan, w, k, t, x));
     CALL(GET_DERIVATIVES, int32_t (*)(Instance, double *, size_t), plan->instance, f, own_states(plan));
-    add_laws(plan, w->input, t, x, f);
+    TRY(add_laws(plan, w->input, t, x, f));
     return DONE;
 }
 
@@ -143,6 +143,12 @@ static int32_t settle(Plan *plan, const Work *w)
             w->nominal[i] = w->nominal[i] != 0 && isfinite(w->nominal[i]) ? fabs(w->nominal[i]) : 1;
     }
     return indicators(plan, w->before);
+}
+
+int32_t settle_events(Plan *plan)
+{
+    Work w = cut(plan);
+    return settle(plan, &w);
 }
 
 /* Factor the matrix in place with partial pivoting; false if it is singular. */

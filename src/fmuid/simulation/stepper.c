@@ -350,4 +350,49 @@ int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
     return DONE;
 }
 
+/* Derivatives by state j of what `references` name, the derivatives and outputs: false if the FMU does not give them. */
+static bool directional(Plan *plan, const uint32_t *references, size_t n, uint32_t state, double *to)
+{
+    void *function = plan->function[GET_DIRECTIONAL_DERIVATIVE];
+    const double one = 1;
+    if (!function) return false;
+    if (plan->fmi == 2)
+        return ((int32_t (*)(Instance, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *))function)(
+                   plan->instance, references, n, &state, 1, &one, to) <= 1;
+    return ((int32_t (*)(Instance, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t, double *,
+                         size_t))function)(plan->instance, references, n, &state, 1, &one, 1, to, n) <= 1;
+}
+
+/* At n points of a run for model exchange, which is only begun: derivatives f and outputs y, one row for a point, and their derivatives by the states, `slope`
+ * (points, states, derivatives and outputs), unless NULL. `references` are those of states, derivatives and outputs if the FMU offers
+ * directional derivatives, else NULL, and differences are taken over `steps` of the states. */
+int32_t fmuid_linearise(Plan *plan, size_t n, const double *t, const double *x, const double *u, const double *steps,
+                        const uint32_t *references, double *f, double *y, double *slope, double *moved)
+{
+    const size_t nx = plan->n_states, ny = plan->n_outputs, size = nx + ny;
+    fmuid_clear_log();
+    TRY(initialise(plan));
+    TRY(begin_model_exchange(plan));
+    for (size_t k = 0; k < n; k++) {
+        const double *here = x + k * nx, *input = u + k * plan->n_inputs;
+        TRY(derivatives_at(plan, input, t[k], here, nx, f + k * nx));
+        TRY(get_values(plan, y + k * ny));
+        for (size_t j = 0; slope && j < nx; j++) {
+            double *column = slope + (k * nx + j) * size;
+            if (references && directional(plan, references + nx, size, references[j], column)) continue;
+            memcpy(moved, here, nx * sizeof(double));
+            double *ends = moved + nx;
+            for (int side = 0; side < 2; side++) {
+                moved[j] = here[j] + (side ? -steps[j] : steps[j]);
+                TRY(derivatives_at(plan, input, t[k], moved, nx, ends + side * size));
+                TRY(get_values(plan, ends + side * size + nx));
+            }
+            for (size_t i = 0; i < size; i++) column[i] = (ends[i] - ends[size + i]) / (2 * steps[j]);
+            TRY(derivatives_at(plan, input, t[k], here, nx, f + k * nx));
+        }
+    }
+    if (plan->function[TERMINATE]) ((Plain)plan->function[TERMINATE])(plan->instance);
+    return DONE;
+}
+
 int32_t fmuid_plan_size(void) { return (int32_t)sizeof(Plan); } /* to see that caller and library are of one version */

@@ -17,7 +17,7 @@ enum {
     GET_BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_CONTINUOUS_TIME_MODE,
     COMPLETED_INTEGRATOR_STEP, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, GET_NOMINALS,
     GET_FMU_STATE, SET_FMU_STATE, FREE_FMU_STATE, SET_DIRECTIONS, SET_INPUT_DIRECTIONS,
-    GET_SENSITIVITIES, SET_VALUES, GET_VALUES, N_FUNCTIONS
+    GET_SENSITIVITIES, GET_DIRECTIONAL_DERIVATIVE, SET_VALUES, GET_VALUES, N_FUNCTIONS
 };
 
 enum { SAMPLES = 8 }; /* whose derivatives are put among the outputs together: that fills lines of the cache */
@@ -163,22 +163,34 @@ static inline int32_t set_values(Plan *plan, const Group *groups, int32_t n_grou
     return DONE;
 }
 
+/* Derivatives of the FMU itself at a point. */
+static inline int32_t derivatives_at(Plan *plan, const double *input, double t, const double *x, size_t n, double *f)
+{
+    CALL(SET_TIME, int32_t (*)(Instance, double), plan->instance, t);
+    TRY(set_values(plan, plan->input_groups, plan->n_input_groups, input));
+    if (n == 0) return DONE;
+    CALL(SET_STATES, int32_t (*)(Instance, const double *, size_t), plan->instance, x, n);
+    CALL(GET_DERIVATIVES, int32_t (*)(Instance, double *, size_t), plan->instance, f, n);
+    return DONE;
+}
+
 int32_t get_values(Plan *plan, double *row);
 int32_t enter_initialisation(Plan *plan);
 int32_t do_step(Plan *plan, size_t k);
 int32_t begin_model_exchange(Plan *plan);
 int32_t integrate(Plan *plan, size_t k);
 int32_t act(Plan *plan, size_t k);
+int32_t settle_events(Plan *plan);
 int32_t feed_back(Plan *plan, size_t k);
 
 /* Laws that are added to the derivatives of model exchange: laws.c, in the library of FMUs with laws; the stepper has none. */
 #ifdef FMUID_WITH_LAWS
 size_t added_states(const Plan *plan); /* of plan->n_states, the last ones */
-void add_laws(const Plan *plan, const double *input, double t, const double *x, double *f);
+int32_t add_laws(Plan *plan, const double *input, double t, const double *x, double *f);
 void start_laws(const Plan *plan, const double *input, double t, double *x);
 #else
 #define added_states(plan) ((void)(plan), (size_t)0)
-#define add_laws(plan, input, t, x, f) ((void)0)
+#define add_laws(plan, input, t, x, f) DONE
 #define start_laws(plan, input, t, x) ((void)0)
 #endif
 

@@ -53,6 +53,7 @@ FUNCTIONS = (
     "SET_DIRECTIONS",
     "SET_INPUT_DIRECTIONS",
     "GET_SENSITIVITIES",
+    "GET_DIRECTIONAL_DERIVATIVE",
     "SET_VALUES",
     "GET_VALUES",
 )
@@ -183,6 +184,8 @@ def library() -> ctypes.CDLL:
         raise FmuError("the compiled stepper is older than the code", where=spec.origin, fix=_REINSTALL)
     stepper.fmuid_run.argtypes = [POINTER(Plan), c_int32, c_double]
     stepper.fmuid_run.restype = c_int32
+    stepper.fmuid_linearise.argtypes = [POINTER(Plan), c_size_t, *[c_void_p] * 9]
+    stepper.fmuid_linearise.restype = c_int32
     stepper.fmuid_clear_log.restype = None
     stepper.fmuid_read_log.restype = c_char_p
     return stepper
