@@ -114,7 +114,8 @@ designed-experiments: $(DEVELOPER) $(FMUS)
 DRAWS ?= 200
 coverage: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)
-	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS) 0.8
+	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS) coloured
+	$(BIN)/python -m benchmarks.kinds_of_noise $(DRAWS)
 
 lint: $(DEVELOPER)
 	$(BIN)/ruff check .

@@ -7,7 +7,7 @@ sigma, and the stage is run as the campaign has it. Of 95 % intervals 95 % shoul
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,11 +22,26 @@ from fmuid.data.noise.level import conversion_at
 from fmuid.identification.identify import identify
 from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.result import StageResult
 from fmuid.simulation.simulator import Simulator
 
-KINDS = ("friction", "gain", "inputs", "signal")
-"""An effect that the model lacks, a gain that varies from run to run, noise of the recorded inputs, and noise that
-grows with the signal."""
+KINDS = {
+    "white": "white",
+    "coloured": "correlated by 0.8 from sample to sample",
+    "heavy": "heavy tails (Student's t, 3 degrees of freedom)",
+    "outliers": "1 sample in 100 is 10 sigma off",
+    "gaps": "white; a fifth of the samples is missing, in blocks of 10",
+    "jitter": "white; samples are taken up to 0.3 intervals early or late",
+    "rounded": "white; values are rounded to 2 sigma",
+    "unstated": "white; sigma is not stated",
+    "signal": "grows with the signal tenfold",
+    "inputs": "white; inputs are recorded with noise (5 % of their standard deviation)",
+    "stated inputs": "the same; their sigma is stated",
+    "gain": "white; a gain varies by 3 % from run to run",
+    "friction": "white; the model lacks friction",
+}
+"""How measurements differ from the model, in words."""
+_COLOUR, _OUTLIERS, _FAR, _GAPS, _BLOCK, _JITTER, _STEP = 0.8, 0.01, 10.0, 0.2, 10, 0.3, 2.0
 _FRICTION, _GAIN, _INPUTS, _LEAST = 0.1, 0.03, 0.05, 0.1
 
 
@@ -42,11 +57,14 @@ class Coverage:
         (draws, n) whether the interval holds the truth; False where there is none.
     deviations
         (draws, n) deviations from the truth in standard errors, NaN where there is none.
+    warned
+        (draws,) whether the stage has a warning, marks an interval, or did not converge.
     """
 
     names: tuple[str, ...]
     inside: FloatArray
     deviations: FloatArray
+    warned: FloatArray
 
     @property
     def shares(self) -> FloatArray:
@@ -71,10 +89,10 @@ def interval_coverage(
     stage: str,
     *,
     draws: int = 200,
-    colour: float = 0.0,
-    kind: str = "",
+    kind: str = "white",
     seed: int = 0,
     simulators: Mapping[str, Simulator] | None = None,
+    aim: Mapping[str, float] | None = None,
 ) -> Coverage:
     """Return how often the 95 % intervals of a stage hold the values that its measurements were simulated with.
 
@@ -84,20 +102,45 @@ def interval_coverage(
         The campaign, and the name of its stage; every parameter's value is its `truth`, or else its start.
     draws
         Number of noises.
-    colour
-        Correlation of the noise from sample to sample, of a first-order autoregression; 0 for white noise.
     kind
-        One of `KINDS`, in addition to the noise; empty for none.
+        One of `KINDS`.
     seed
         Of the noise.
     simulators
         Models by setup; the campaign's FMUs by default.
+    aim
+        Values that intervals should hold, if not those that the measurements are simulated with.
 
     Raises
     ------
     FmuidError
         The stage cannot be posed, or its runs cannot be simulated.
     """
+    truth, stages = fitted_stages(campaign, stage, draws=draws, kind=kind, seed=seed, simulators=simulators)
+    inside, deviations, warned = [], [], []
+    names: tuple[str, ...] = ()
+    for found in stages:
+        names = tuple(e.name for e in found.estimates)
+        pairs = [(found[n], (aim or truth)[n]) for n in names]
+        inside.append([e.interval is not None and e.interval[0] < v < e.interval[1] for e, v in pairs])
+        deviations.append([(e.value - v) / (e.standard_error or np.nan) for e, v in pairs])
+        warned.append(bool(found.warnings) or not found.sound or any(e.note for e in found.estimates))
+    return Coverage(
+        names, np.array(inside, dtype=np.float64), np.array(deviations), np.array(warned, dtype=np.float64)
+    )
+
+
+def fitted_stages(
+    campaign: Campaign,
+    stage: str,
+    *,
+    draws: int,
+    kind: str,
+    seed: int,
+    simulators: Mapping[str, Simulator] | None = None,
+    with_uncertainty: bool = True,
+) -> tuple[Mapping[str, float], Iterator[StageResult]]:
+    """Return the true values of the parameters, and the stage fitted to `draws` simulated measurements."""
     from fmuid.identification.check import load_models
 
     if stage not in campaign.stages:
@@ -106,21 +149,17 @@ def interval_coverage(
     specs = {n: replace(s, start=truth[n]) for n, s in campaign.parameters.items()}
     spec = replace(campaign.stages[stage], start={})
     campaign = replace(campaign, parameters=specs, stages={stage: spec})
-    simulators = simulators or load_models(campaign)
-    problem = Problem.of_stage(campaign, spec, simulators)
+    models = simulators or load_models(campaign)
+    problem = Problem.of_stage(campaign, spec, models)
     exact = problem.evaluate(problem.space.start)
     if exact.failure is not None:
         raise ProblemError(f"the true values cannot be simulated ({exact.failure})", fix="check `truth`")
     sources = {e: pair for pair in zip(problem.cases, exact.predictions, strict=True) for e in pair[0].experiments}
     generator = np.random.default_rng(seed)
-    inside, deviations = [], []
-    for _ in range(draws):
-        drawn = _drawn(campaign, spec, sources, generator, colour, kind)
-        found = identify(drawn, simulators=simulators).stages[0]
-        pairs = [(found[n], exact.parameters[n]) for n in problem.space.names]
-        inside.append([e.interval is not None and e.interval[0] < v < e.interval[1] for e, v in pairs])
-        deviations.append([(e.value - v) / (e.standard_error or np.nan) for e, v in pairs])
-    return Coverage(problem.space.names, np.array(inside, dtype=np.float64), np.array(deviations))
+    drawn = (_drawn(campaign, spec, sources, generator, kind) for _ in range(draws))
+    return exact.parameters, (
+        identify(one, simulators=models, with_uncertainty=with_uncertainty).stages[0] for one in drawn
+    )
 
 
 def _drawn(
@@ -128,14 +167,13 @@ def _drawn(
     stage: StageSpec,
     sources: Mapping[str, tuple[Case, FloatArray]],
     generator: np.random.Generator,
-    colour: float,
     kind: str,
 ) -> Campaign:
     """Return the campaign with the stage's runs simulated, with noise."""
     runs = {}
     for run in experiments_of(campaign, stage.experiments, where=f"stage '{stage.name}'"):
         case, prediction = sources[run.id]
-        runs[run.id] = _measured(run, case, prediction, generator, colour, kind)
+        runs[run.id] = _measured(run, case, prediction, generator, kind)
     ids = tuple(runs)
     return replace(campaign, measurements=Measurements(runs), identification=ids, validation=())
 
@@ -145,50 +183,73 @@ def _measured(
     case: Case,
     prediction: FloatArray,
     generator: np.random.Generator,
-    colour: float,
     kind: str,
 ) -> Experiment:
-    from scipy.signal import lfilter
-
     signals = dict(run.signals)
     gain = 1.0 + _GAIN * float(generator.standard_normal()) if kind == "gain" else 1.0
-    if kind == "inputs":
+    if kind.endswith("inputs"):
         for name, signal in run.inputs.items():
-            scatter = _INPUTS * float(np.std(signal.values)) * generator.standard_normal(len(signal.values))
-            signals[name] = replace(signal, values=signal.values + scatter)
-    for channel, y in zip(case.channels, prediction, strict=True):
-        signal = signals[channel.signal]
-        white = generator.standard_normal(len(y) + 100)
-        noise = lfilter([np.sqrt(1.0 - colour**2)], [1.0, -colour], white)[100:]
-        if kind == "signal":
-            noise = noise * (_LEAST + (1.0 - _LEAST) * np.abs(y) / max(float(np.max(np.abs(y))), 1e-300))
-        if kind == "friction":
-            speed = np.gradient(y)
-            y = y - _FRICTION * np.std(y) * np.tanh(speed / max(0.05 * float(np.max(np.abs(speed))), 1e-300))
-        y = gain * y
+            sigma = _INPUTS * float(np.std(signal.values))
+            values = signal.values + sigma * generator.standard_normal(len(signal.values))
+            signals[name] = replace(signal, values=values, sigma=sigma if kind == "stated inputs" else None)
+    for channel, exact in zip(case.channels, prediction, strict=True):
+        signal, sigma = signals[channel.signal], channel.noise.sigma
+        y = gain * _reading(exact, run.time, generator, kind) + sigma * _noise(exact, generator, kind)
+        if kind == "rounded":
+            y = _STEP * sigma * np.round(y / (_STEP * sigma))
+        if kind == "gaps":
+            blocks = generator.random(-(-len(y) // _BLOCK)) < _GAPS
+            y = np.where(np.repeat(blocks, _BLOCK)[: len(y)], np.nan, y)
         convert = conversion_at(signal.unit, channel.unit, f"signal '{signal.name}'")
-        values = (y + channel.noise.sigma * noise - convert.offset) / convert.factor
-        signals[signal.name] = replace(signal, values=np.where(np.isfinite(signal.values), values, np.nan))
+        values = np.where(np.isfinite(signal.values), (y - convert.offset) / convert.factor, np.nan)
+        stated = None if kind == "unstated" else signal.sigma
+        signals[signal.name] = replace(signal, values=values, sigma=stated)
     return replace(run, signals=signals)
 
 
+def _reading(y: FloatArray, time: FloatArray, generator: np.random.Generator, kind: str) -> FloatArray:
+    """Return what a perfect sensor shows of (N,) outputs of the model."""
+    if kind == "jitter":
+        moved = time + _JITTER * np.median(np.diff(time)) * generator.uniform(-1.0, 1.0, len(time))
+        return np.asarray(np.interp(moved, time, y))
+    if kind == "friction":
+        speed = np.gradient(y)
+        return y - _FRICTION * np.std(y) * np.tanh(speed / max(0.05 * float(np.max(np.abs(speed))), 1e-300))
+    return y
+
+
+def _noise(y: FloatArray, generator: np.random.Generator, kind: str) -> FloatArray:
+    """Return (N,) noise of unit variance, except for outliers and where it grows with the outputs `y`."""
+    from scipy.signal import lfilter
+
+    n = len(y)
+    if kind == "coloured":
+        white = generator.standard_normal(n + 100)
+        return np.asarray(lfilter([np.sqrt(1.0 - _COLOUR**2)], [1.0, -_COLOUR], white)[100:])
+    if kind == "heavy":
+        return np.asarray(generator.standard_t(3, n) / np.sqrt(3.0))
+    noise = generator.standard_normal(n)
+    if kind == "outliers":
+        return noise + _FAR * (generator.random(n) < _OUTLIERS) * np.sign(generator.standard_normal(n))
+    if kind == "signal":
+        return noise * (_LEAST + (1.0 - _LEAST) * np.abs(y) / max(float(np.max(np.abs(y))), 1e-300))
+    return noise
+
+
 def main(arguments: Sequence[str]) -> int:
-    """`python -m benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [COLOUR|KIND]`: print a table."""
-    return run_module("benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [COLOUR|KIND]", arguments, _command)
+    """`python -m benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [KIND]`: print a table."""
+    return run_module("benchmarks.interval_coverage CAMPAIGN STAGE [DRAWS] [KIND]", arguments, _command)
 
 
 def _command(arguments: Sequence[str]) -> None:
     from fmuid.campaigns.campaign_toml import load_campaign
 
-    campaign, stage, *numbers = arguments
-    kind = numbers.pop() if numbers and numbers[-1] in KINDS else ""
-    try:
-        draws, colour = int(numbers[0]) if numbers else 200, float(numbers[1]) if len(numbers) > 1 else 0.0
-    except ValueError as error:
+    campaign, stage, draws, kind = [*arguments, *("200", "white")[len(arguments) - 2 :]]
+    if not draws.isdigit() or kind not in KINDS:
         raise ProblemError(
-            f"is no number ({error})", where="DRAWS, COLOUR", fix=f"such as 200 0.8, or 200 {KINDS[0]}"
-        ) from None
-    print(interval_coverage(load_campaign(campaign), stage, draws=draws, colour=colour, kind=kind))
+            f"'{draws} {kind}'", where="DRAWS KIND", fix=f"a number, and one of: {', '.join(KINDS)}"
+        )
+    print(interval_coverage(load_campaign(campaign), stage, draws=int(draws), kind=kind))
 
 
 if __name__ == "__main__":

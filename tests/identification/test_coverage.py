@@ -76,12 +76,12 @@ def test_intervals_of_the_linear_stage_hold_the_truth(runs, coloured, kind, whit
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("colour", [0.0, 0.8])
-def test_intervals_of_the_campaigns_own_linear_stage_hold_the_truth(fmus, colour):
+@pytest.mark.parametrize("kind", ["white", "coloured"])
+def test_intervals_of_the_campaigns_own_linear_stage_hold_the_truth(fmus, kind):
     """Fewer noises than `make coverage` draws; docs/identification.md has its figures."""
     if not (CAMPAIGN / "measurements.h5").exists():
         subprocess.run([sys.executable, "-m", "benchmarks.virtual_rig", str(CAMPAIGN)], check=True)
-    found = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, colour=colour, seed=1)
+    found = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, kind=kind, seed=1)
     assert len(found.names) == 11
     assert 0.90 <= np.mean(found.shares) <= 0.98, str(found)
     assert np.mean(np.sqrt(np.mean(found.deviations**2, axis=0))) == pytest.approx(1.0, abs=0.15)

@@ -17,12 +17,12 @@ def bench(analytic):
 def test_intervals_of_a_line_hold_the_truth(bench):
     both = SLOPE.__class__("both", ("loaded",), ("a", "b"))
     truth = {n: ParameterSpec(n, 1.0, truth=v) for n, v in (("a", 2.0), ("b", 0.5))}
-    for colour in (0.0, 0.6):
-        found = interval_coverage(campaign(both, **truth), "both", draws=60, colour=colour, simulators=bench)
+    for kind in ("white", "coloured"):
+        found = interval_coverage(campaign(both, **truth), "both", draws=60, kind=kind, simulators=bench)
         assert found.names == ("a", "b")
-        assert np.all(found.shares >= 0.85), (colour, found.shares)
+        assert np.all(found.shares >= 0.85), (kind, found.shares)
         rms = np.sqrt(np.mean(found.deviations**2, axis=0))
-        assert np.all((rms > 0.75) & (rms < 1.35)), (colour, rms)
+        assert np.all((rms > 0.75) & (rms < 1.35)), (kind, rms)
         assert "inside, of 60" in str(found)
 
 

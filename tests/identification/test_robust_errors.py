@@ -199,3 +199,16 @@ def test_estimates_are_conditional_on_what_only_a_later_stage_identifies(analyti
     assert "conditional on values that only later stages identify: a" in first.warnings
     assert last["b"].note == "one run"
     assert not any("conditional" in w for w in last.warnings)
+
+
+@pytest.mark.parametrize(("count", "mark"), [(1, "one run"), (2, "few runs"), (6, "")])
+def test_intervals_from_few_runs_say_that_they_hold_for_these(analytic, count, mark):
+    stage = identify(runs(analytic, "white", 1, count=count)).stages[0]
+    assert {e.note for e in stage.estimates} - {"robust"} == {mark}
+
+
+def test_a_value_of_a_single_run_is_not_conditional_on_it(analytic):
+    problem = runs(analytic, "white", 1)
+    specs = [replace(spec, per="experiment") if spec.name == "b" else spec for spec in problem.space.free]
+    stage = identify(Problem(problem.cases, specs)).stages[0]
+    assert {stage[f"b@run{k}"].note for k in range(6)} == {""}

@@ -445,8 +445,11 @@ def _unidentified(run: _Run, problem: Problem, best: Evaluation) -> tuple[str, .
 def _note(name: str, found: Uncertainty | None, held: Sequence[str]) -> str:
     if found is None or found.standard_errors[found.names.index(name)] is None:
         return ""
-    marks = {"robust": found.robust, "one run": found.one_run, "biased": found.biased}
-    return ", ".join([mark for mark, names in marks.items() if name in names] + ["conditional"] * bool(held))
+    marks = ["robust"] * (name in found.robust)
+    if name in found.few_runs:
+        marks.append("one run" if found.few_runs[name] == 1 else "few runs")
+    marks += ["biased"] * (name in found.biased) + ["conditional"] * bool(held)
+    return ", ".join(marks)
 
 
 def _misfit(

@@ -54,7 +54,8 @@ class Estimate:
     where it sits at a bound. `inherited` is the share of its variance due to errors of parameters fixed at earlier
     estimates. `truth` is the true value on the rig, if known. `depends_on` names fixed variables on whose values
     the estimate depends. `note` marks standard errors that are robust to the model's misfit, intervals that hold
-    for one run only, estimates biased by noise of inputs, and values conditional on others that the stage holds.
+    for one or few runs only, estimates biased by noise of inputs, and values conditional on others that the stage
+    holds.
     """
 
     name: str

@@ -243,8 +243,8 @@ def _estimates_table(
         "Standard errors and intervals cover the noise, the colour of the residuals, and the errors of values "
         "that the stage fixed at estimates of earlier stages (inherited: their share of the variance). Values "
         "that no stage identified are treated as known. A dash: none; the stage's warnings give the reason. One "
-        "run: only one run determines the parameter, so the interval holds for that run; it does not contain how "
-        "much the parameter differs from run to run."
+        "run, few runs: no more than three runs determine the parameter, so the interval holds for them; it does "
+        "not contain how much the parameter differs from run to run."
     )
     digits = tuple(
         dict.fromkeys(("moved, %", "standard error", "deviation, %", "inherited, %"), 2).get(name, 5)

@@ -42,7 +42,8 @@ _TWO = 0.01  # two clusters have an interval that is six times as wide
 _COLLINEAR = 1000.0  # ratio of the correlation's eigenvalues above which a direction is explored by steps
 _FARTHEST = 64.0
 _BIASED = 0.5  # standard errors: a smaller bias hardly changes an interval
-_ALONE = 0.999  # share of the information on a parameter
+_COUNTS = 0.01  # share of the information on a parameter from which on a run counts
+_FEW_RUNS = 3  # so many do not show how much a parameter differs between runs
 _FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
 
 
@@ -56,7 +57,8 @@ class Uncertainty:
     are their names, `held_slopes` (n, h) the derivatives of the estimate with respect to them in model space.
     `degrees_of_freedom` belong to the stage's own noise, `degrees` (n,) to the standard errors; None means
     infinite. `robust` are the parameters whose errors come from the scatter between runs (`clusters`), which
-    exceeds that of coloured noise. `one_run` are those that a single run determines. `biased` are those that noise
+    exceeds that of coloured noise. `few_runs` are those that a single run determines, or up to three, so that
+    nothing shows how much they differ from run to run, with that number. `biased` are those that noise
     of recorded inputs moves by more than half a standard error, which intervals include. `naive_errors` (n,) would
     hold for white noise. `whiteness` tests the residuals, `identifiability` the directions that the experiments
     determine, and `noise_floor` is the simulator's. `notes` state conditions of the standard errors, or why there
@@ -80,7 +82,7 @@ class Uncertainty:
     degrees: tuple[float | None, ...] = ()
     notes: tuple[str, ...] = ()
     robust: tuple[str, ...] = ()
-    one_run: tuple[str, ...] = ()
+    few_runs: dict[str, int] = field(default_factory=dict)
     biased: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
 
@@ -214,7 +216,7 @@ def uncertainty_of(
         inherited=() if held is None else _matrix(inherited),
         degrees=tuple(map(_limited, degrees)),
         robust=tuple(names[k] for k in sorted(scatter.robust)),
-        one_run=_of_one_run(problem, j),
+        few_runs=_of_few_runs(problem, j, [names[k] for k in scatter.robust]),
         biased=tuple(names[k] for k in biased if known[k]),
         constraints=active.texts,
         notes=(
@@ -380,13 +382,18 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Seque
     return notes
 
 
-def _of_one_run(problem: Problem, j: FloatArray) -> tuple[str, ...]:
-    """Return the parameters on which one run has all information, unless they belong to that run by definition."""
-    shares = information_of_runs(problem, j)
+def _of_few_runs(problem: Problem, j: FloatArray, robust: Sequence[str]) -> dict[str, int]:
+    """Return the number of runs that determine a parameter, where it is small.
+
+    Parameters that belong to a run by definition do not count, nor do those with errors from the scatter of runs.
+    """
+    counts = np.sum(information_of_runs(problem, j) > _COUNTS, axis=0)
     ids = {case.id for case in problem.cases}
-    alone = np.max(shares, axis=0) > _ALONE
-    own = [name.partition(SEPARATOR)[2] in ids for name in problem.space.names]
-    return tuple(n for n, one, o in zip(problem.space.names, alone, own, strict=True) if one and not o)
+    return {
+        name: count
+        for name, count in zip(problem.space.names, counts.tolist(), strict=True)
+        if count <= _FEW_RUNS and name.partition(SEPARATOR)[2] not in ids and name not in robust
+    }
 
 
 def _biases(problem: Problem, bias: FloatArray, biased: Sequence[int]) -> list[str]:
