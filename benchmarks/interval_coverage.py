@@ -219,7 +219,7 @@ def _reading(y: FloatArray, time: FloatArray, generator: np.random.Generator, ki
 
 
 def _noise(y: FloatArray, generator: np.random.Generator, kind: str) -> FloatArray:
-    """Return (N,) noise of unit variance, except for outliers and where it grows with the outputs `y`."""
+    """Return (N,) noise for outputs `y`, of unit variance apart from outliers."""
     from scipy.signal import lfilter
 
     n = len(y)
@@ -232,7 +232,8 @@ def _noise(y: FloatArray, generator: np.random.Generator, kind: str) -> FloatArr
     if kind == "outliers":
         return noise + _FAR * (generator.random(n) < _OUTLIERS) * np.sign(generator.standard_normal(n))
     if kind == "signal":
-        return noise * (_LEAST + (1.0 - _LEAST) * np.abs(y) / max(float(np.max(np.abs(y))), 1e-300))
+        size = _LEAST + (1.0 - _LEAST) * np.abs(y) / max(float(np.max(np.abs(y))), 1e-300)
+        return noise * size / np.sqrt(np.mean(size**2))
     return noise
 
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.interval_coverage import KINDS, interval_coverage, main
+from benchmarks.kinds_of_noise import light_coverage
+from benchmarks.kinds_of_noise import main as kinds_of_noise
 from fmuid import CriterionSpec, ParameterSpec, Simulator
 from fmuid.core.errors import ProblemError
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
@@ -62,3 +64,14 @@ def test_mistakes_are_one_line(bench, capsys):
         interval_coverage(campaign(LEVEL, SLOPE), "slop", simulators=bench)
     assert main(["nowhere", "level"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_light_model_is_measured_under_each_kind_of_noise():
+    white = light_coverage("white", 10)
+    assert white.names == ("k", "T", "b")
+    assert white.inside.shape == (10, 3)
+    assert np.mean(white.shares) >= 0.8
+    gain = light_coverage("gain", 10, runs=2)
+    assert gain.shares[0] < 0.8  # nothing shows how much it varies ...
+    assert np.all(gain.warned == 1.0)  # ... and the table of the stage says so
+    assert kinds_of_noise(["0"]) == 2

@@ -160,8 +160,7 @@ def test_a_fit_of_the_wrong_regime_is_not_sound(analytic, model, step, truth, st
         stage = identify(Problem([case], specs), stop=StopRules(evaluations=100)).stages[0]
         assert not stage.sound
         assert "of x unexplained, not white" in stage.summary
-        if model is LORENZ:
-            assert any('try segments = "auto"' in w for w in stage.warnings)
+        assert any('segments = "auto"' in w for w in stage.warnings)
 
 
 def test_segments_are_advised_where_sensitivities_explode(analytic):

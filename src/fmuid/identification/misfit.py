@@ -16,6 +16,7 @@ from fmuid.identification.uncertainty.coloured_residuals import Whiteness
 
 _TIMES_NOISE = 2.0  # at this ratio, three quarters of the residual's energy are not noise
 _UNEXPLAINED = 0.1  # share of the signal's energy in the residual above which sign and unit are doubted
+_LOST = 0.5  # share of the signal's energy in the residual above which the whole fit is doubted
 _PLAINLY, _CORRELATED = 1e-6, 0.2  # p-value and autocorrelation of a residual that is plainly not white
 _SHOWN = 1e-4  # share of a signal's energy that is worth a word
 _ALIKE = 0.8  # correlation: scaled by one number, the prediction then explains two thirds of the signal
@@ -107,7 +108,13 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
         if known and known[-1][0].unexplained > _UNEXPLAINED:
             # The start comes first, because a fit distorts the shape towards what it cannot reach.
             units = _units(problem, signal)
-            found += next((d for d in (_doubt(signal, units, *one) for one in known) if d), [])
+            doubts = next((d for d in (_doubt(signal, units, *one) for one in known) if d), [])
+            found += doubts
+            if not doubts and known[-1][0].unexplained > _LOST and problem.segments == 0:
+                found.append(
+                    f"the fit follows little of {signal}, as in a wrong optimum: try starts = 8, or segments = "
+                    '"auto", which restarts the model along the runs'
+                )
     if times and (worst := max(times, key=lambda name: times[name])) and times[worst] > _TIMES_NOISE:
         found.append(
             f"the residual of {worst} is {times[worst]:.3g} times its noise: "
