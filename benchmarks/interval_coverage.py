@@ -208,7 +208,7 @@ def _measured(
 
 
 def _reading(y: FloatArray, time: FloatArray, generator: np.random.Generator, kind: str) -> FloatArray:
-    """Return what a perfect sensor shows of (N,) outputs of the model."""
+    """Return the (N,) readings of a perfect sensor, for outputs of the model."""
     if kind == "jitter":
         moved = time + _JITTER * np.median(np.diff(time)) * generator.uniform(-1.0, 1.0, len(time))
         return np.asarray(np.interp(moved, time, y))
