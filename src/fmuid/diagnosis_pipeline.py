@@ -442,7 +442,8 @@ def _write(
         campaign=campaign.title,
         pictures=pictures_of(found, _predicted(law)),
         model=_drawing(campaign, found),
-        units={n: p.unit for n, p in campaign.parameters.items() if p.unit},
+        units={n: u for e in found.subject.effects for n, u in e.units.items() if u != "1"}
+        | {n: p.unit for n, p in campaign.parameters.items() if p.unit},
         provenance=provenance_of(campaign, seed, files=_files(campaign, found.subject)),
     )
     return corrected

@@ -130,7 +130,7 @@ def test_the_smallest_gain_that_would_have_been_seen_is_told_from_none():
     )
     assert seen_table(diagnosis) is None
     diagnosis["gap"]["present"] = False
-    assert seen_table(diagnosis).rows == (("sensor_gain", "tau_sensor.gain", 1.0132),)
+    assert seen_table(diagnosis).rows == (("sensor_gain", "tau_sensor.gain", 1.0132, ""),)
 
 
 def test_of_many_names_the_first_ones_are_printed():
@@ -166,7 +166,7 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
     assert [b.label for b in gap_figure(diagnosis).bars] == [
         "nominal model",
         "nominal parameters refitted",
-        "as large as the noise",
+        "noise alone",
     ]
 
 
@@ -193,7 +193,12 @@ def test_ticks_of_a_wide_gap_do_not_overlap(gap, decades):
 
 def test_the_gap_is_drawn_effect_by_effect():
     bars = gap_figure(samples.diagnosis(), {"mesh_loss": 2.0}).bars
-    assert [(b.label, b.value) for b in bars[2:4]] == [("with mesh_loss", 2.0), ("corrected", 0.35)]
+    assert [(b.label, b.note) for b in bars[2:]] == [
+        ("with mesh_loss", "2.24"),
+        ("corrected", "1.06"),
+        ("noise alone", "1"),
+    ]
+    assert min(b.value for b in bars) == 1.0  # no error is below the noise
 
 
 def test_answers_come_first_then_other_effects_that_were_judged():
@@ -210,6 +215,15 @@ def test_answers_come_first_then_other_effects_that_were_judged():
         "hysteresis",
     ]
     assert [row[0] for row in effects_table(diagnosis, refitted=True).rows][:1] == ["mesh_loss"]
+
+
+def test_parameters_of_effects_have_units():
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    (effect,) = [e for e in diagnosis["effects"] if e["id"] == "mesh_loss"]
+    name = next(iter(effect["parameters"]))
+    table = effects_table(diagnosis, refitted=True, units={name: "N.m"})
+    assert f"{name} = " in table.rows[0][-1]
+    assert "N·m" in table.rows[0][-1]
 
 
 def test_effects_that_only_together_are_an_answer_share_a_bar():

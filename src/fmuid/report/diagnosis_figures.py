@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -31,7 +32,8 @@ from fmuid.report.plots.figure_data import (
     pretty_unit,
 )
 
-_NO_GAP = 0.03  # noise floors: where the logarithmic axis of gaps begins
+_IMPOSSIBLE = 0.001  # smaller probabilities are not told apart
+_LEAST_ERROR = 0.5  # noise floors: where the logarithmic axis of errors begins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,7 +243,7 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
             if answer_names and set(entry.get("effects", ())) <= {*answer_names} and "effects" in entry
             else "floor",
             None if interval is None else (interval[0], interval[1]),
-            f"probability {entry['probability']:.2g}",
+            _probability(entry["probability"]),
         )
     if not bars:
         return None
@@ -256,6 +258,10 @@ def effects_figure(diagnosis: Mapping[str, Any], most: int = 12) -> BarFigure | 
         "parameters; lines are its bootstrap interval. Blue: the verdict.",
         limits=(max(-1.0, low), 1.25),
     )
+
+
+def _probability(value: float) -> str:
+    return f"probability {value:.2g}" if value >= _IMPOSSIBLE else f"probability below {_IMPOSSIBLE:g}"
 
 
 def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
@@ -279,7 +285,10 @@ def ports_figure(diagnosis: Mapping[str, Any]) -> BarFigure | None:
 
 
 def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None = None) -> BarFigure:
-    """Return the gap, step by step, down to the noise floor; `steps` are gaps that some of the effects leave."""
+    """Return the error, step by step, down to the noise; `steps` are gaps that some of the effects leave.
+
+    A gap is an error beyond the noise. Drawn is the whole error, which is never below the noise.
+    """
     gap = diagnosis["gap"]
     bars = [
         Bar("nominal model", gap["nominal"], "start"),
@@ -288,15 +297,16 @@ def gap_figure(diagnosis: Mapping[str, Any], steps: Mapping[str, float] | None =
     if named(diagnosis["verdict"]) or diagnosis.get("refinements"):
         bars += [Bar(f"with {names}", left, "alternative") for names, left in (steps or {}).items()]
         bars.append(Bar("corrected", gap["corrected"], "final"))
-    bars.append(Bar("as large as the noise", 1.0, "floor"))
+    bars.append(Bar("noise alone", 0.0, "floor"))
+    errors = [math.hypot(1.0, b.value) for b in bars]
     return BarFigure(
         "gap",
         "From the gap to the noise floor",
-        tuple(replace(b, value=max(b.value, _NO_GAP), note=f"{b.value:.3g}") for b in bars),
-        Axis("gap beyond the noise, in noise floors", log=True),
-        caption="Root mean square of the whitened residual beyond the noise, over the signals'"
-        f" bandwidth. {_floors(diagnosis)}".rstrip(),
-        limits=(_NO_GAP, 2.0 * max(b.value for b in bars)),
+        tuple(replace(b, value=e, note=f"{e:.3g}") for b, e in zip(bars, errors, strict=True)),
+        Axis("error, in noise floors", log=True),
+        caption="Root mean square of the whitened residual over the signals' bandwidth. With a gap g beyond the"
+        f" noise, it is the root of 1 + g². {_floors(diagnosis)}".rstrip(),
+        limits=(_LEAST_ERROR, 2.0 * max(errors)),
     )
 
 
@@ -355,7 +365,9 @@ def law_table(diagnosis: Mapping[str, Any]) -> Table | None:
     return Table(header, rows, "law-found-parameters", "Its parameters") if rows else None
 
 
-def effects_table(diagnosis: Mapping[str, Any], *, refitted: bool) -> Table:
+def effects_table(
+    diagnosis: Mapping[str, Any], *, refitted: bool, units: Mapping[str, str] | None = None
+) -> Table:
     """Return the candidates with probability, score and closures: those that were refitted, or the others."""
     rows: list[tuple[Cell, ...]] = []
     for effect in ranked(diagnosis["effects"]):
@@ -369,6 +381,7 @@ def effects_table(diagnosis: Mapping[str, Any], *, refitted: bool) -> Table:
         parameters = ", ".join(
             f"{name} = {p['value']:.4g}"
             + ("" if p.get("standard_error") is None else f" ± {p['standard_error']:.2g}")
+            + (f" {pretty_unit(unit)}" if (unit := (units or {}).get(name)) and unit != "1" else "")
             for name, p in effect.get("parameters", {}).items()
         )
         rows.append(
@@ -399,17 +412,17 @@ def effects_table(diagnosis: Mapping[str, Any], *, refitted: bool) -> Table:
     )
 
 
-def seen_table(diagnosis: Mapping[str, Any]) -> Table | None:
+def seen_table(diagnosis: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Table | None:
     """Return the size from which each effect would have been seen, where none was."""
     if diagnosis["gap"]["present"]:
         return None
     rows = tuple(
-        (effect, parameter, value)
+        (effect, parameter, value, pretty_unit((units or {}).get(parameter, "")))
         for effect, own in diagnosis.get("power", {}).items()
         for parameter, value in own.items()
     )
-    header = ("effect", "parameter", "smallest size")
-    return Table(header, rows, "seen", "Effects that would have been seen from this size on", digits=(5, 5, 4))
+    header = ("effect", "parameter", "smallest size", "unit")
+    return Table(header, rows, "seen", "Effects that would have been seen from this size on", digits=(5, 5, 4, 5))
 
 
 def where_table(diagnosis: Mapping[str, Any]) -> Table:

@@ -45,7 +45,7 @@ def write_diagnosis_report(
     provenance
         Names and values of everything that the result depends on: hashes, versions, commands.
     units
-        Units of the campaign's parameters, by name.
+        Units of the parameters of the campaign and of effects, by name.
     formats
         File formats of the figures.
 
@@ -71,10 +71,12 @@ def write_diagnosis_report(
                 pictures_of.effects_figure(diagnosis),
                 pictures_of.missing_figure(pictures.missing),
                 pictures_of.ports_figure(diagnosis),
-                pictures_of.effects_table(diagnosis, refitted=True),
+                pictures_of.effects_table(diagnosis, refitted=True, units=units),
             ),
             " ".join(f"{line}." for line in indistinct(diagnosis)),
-            _present(pictures_of.effects_table(diagnosis, refitted=False), pictures_of.seen_table(diagnosis)),
+            _present(
+                pictures_of.effects_table(diagnosis, refitted=False), pictures_of.seen_table(diagnosis, units)
+            ),
             "Effects with scores too low for a refit"
             + ("" if diagnosis["gap"]["present"] else ", and sizes that would have been seen"),
         ),

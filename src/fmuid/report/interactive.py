@@ -218,7 +218,7 @@ def _axis(axis: Axis, label: str = "") -> Spec:
         "linecolor": "#444444",
         "ticks": "outside",
         "ticklen": 3,
-        "exponentformat": "power",
+        "exponentformat": "e",  # exponents that are raised would be too small
     }
 
 

@@ -85,7 +85,7 @@ def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:
     boxes = [_box(part, place[part.name], marked=part.name in marked) for part in graph.parts.values()]
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="model" viewBox="-3 -3 {width + 6} {height + 6}" '
-        f'style="max-width: {width + 6}px; width: 100%" font-family="sans-serif" role="img" '
+        f'width="{width + 6}" height="{height + 6}" font-family="sans-serif" role="img" '
         f'aria-label="components of the model">{"".join(lines)}{"".join(boxes)}</svg>'
     )
     names = ", ".join(sorted(marked))
@@ -164,7 +164,7 @@ def _box(part: Part, place: tuple[int, int], *, marked: bool) -> str:
     return (
         f'<rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" {shape} fill="white" {frame}/>'
         f'<text {text} y="{y + 17}" font-size="13" font-weight="600">{_short(part.name)}</text>'
-        f'<text {text} y="{y + 32}" font-size="11" fill-opacity="0.7">{_short(part.kind)}</text>'
+        f'<text {text} y="{y + 32}" font-size="12" fill-opacity="0.7">{_short(part.kind)}</text>'
     )
 
 
