@@ -118,6 +118,21 @@ def test_a_residual_that_is_not_white_is_in_the_headline(analytic):
     assert "unexplained" not in right.summary
 
 
+def test_a_small_coloured_residual_above_the_noise_is_in_the_headline(analytic):
+    def offset(time, inputs, p):
+        return {"y": p["a"] * time}
+
+    def stage(missed):
+        time = np.linspace(0.0, 10.0, 2000)
+        y = 100.0 * time + missed * np.sin(3.0 * time) + 0.1 * np.random.default_rng(0).standard_normal(2000)
+        case = measured_case("run", analytic(offset, "a"), Task(time, {}, ("y",)), {"y": y}, sigma={"y": 0.1})
+        return identify(Problem([case], [ParameterSpec("a", 90.0)])).stages[0]
+
+    assert "% of y unexplained, not white" in stage(0.15).summary
+    assert stage(0.15).sound
+    assert "unexplained" not in stage(0.0).summary
+
+
 def orbit(slopes, start):
     """A model that integrates its state by fixed steps of the classical Runge-Kutta method."""
 

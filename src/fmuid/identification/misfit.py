@@ -18,7 +18,7 @@ _TIMES_NOISE = 2.0  # at this ratio, three quarters of the residual's energy are
 _UNEXPLAINED = 0.1  # share of the signal's energy in the residual above which sign and unit are doubted
 _LOST = 0.5  # share of the signal's energy in the residual above which the whole fit is doubted
 _PLAINLY, _CORRELATED = 1e-6, 0.2  # p-value and autocorrelation of a residual that is plainly not white
-_SHOWN = 1e-4  # share of a signal's energy that is worth a word
+_SHOWN, _ABOVE = 1e-4, 1.2  # share of a signal's energy, or times its noise, that is worth a word
 _ALIKE = 0.8  # correlation: scaled by one number, the prediction then explains two thirds of the signal
 _SCALED = 2.5  # ratio of measurement to prediction that is unlikely to come from a start value alone
 _NEAR = math.log(1.5)  # distance from the factor between two units, since start values are wrong as well
@@ -67,7 +67,8 @@ def unexplained(problem: Problem, best: Evaluation, whiteness: Sequence[Whitenes
         lag_one = sum(w.lag_one * w.samples for w in own) / max(sum(w.samples for w in own), 1)
         coloured = min(w.p_value for w in own) * len(own) < _PLAINLY and abs(lag_one) > _CORRELATED
         large = times.get(signal, 0.0) > _TIMES_NOISE
-        if (coloured or large) and seen is not None and seen.unexplained > _SHOWN:
+        shown = seen is not None and (seen.unexplained > _SHOWN or times.get(signal, 0.0) > _ABOVE)
+        if (coloured or large) and seen is not None and shown:
             found.append(Unexplained(signal, seen.unexplained, lag_one if coloured else 0.0, times.get(signal)))
     return tuple(found)
 
