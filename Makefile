@@ -110,7 +110,8 @@ designed-experiments: $(DEVELOPER) $(FMUS)
 	$(BIN)/python -m benchmarks.designed_actuator
 	$(BIN)/python -m benchmarks.designed_experiments build/designed_experiments
 
-# How often 95 % intervals of the linear stage contain the truth, under white and coloured noise: ten minutes.
+# How often 95 % intervals contain the truth: the linear stage under white and coloured noise, and a light model under
+# thirteen kinds of noise and wrong models. Fifteen minutes.
 DRAWS ?= 200
 coverage: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)

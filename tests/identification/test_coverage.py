@@ -78,7 +78,7 @@ def test_intervals_of_the_linear_stage_hold_the_truth(runs, coloured, kind, whit
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["white", "coloured"])
 def test_intervals_of_the_campaigns_own_linear_stage_hold_the_truth(fmus, kind):
-    """Fewer noises than `make coverage` draws; docs/identification.md has its figures."""
+    """Fewer noises than `make coverage` draws; docs/statistics.md has its figures."""
     if not (CAMPAIGN / "measurements.h5").exists():
         subprocess.run([sys.executable, "-m", "benchmarks.virtual_rig", str(CAMPAIGN)], check=True)
     found = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, kind=kind, seed=1)
