@@ -26,7 +26,6 @@ from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
 from fmuid.diagnosis.cross_validation import HeldOut, Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
-from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.variants import model_exchange
@@ -159,30 +158,6 @@ _Table = TypeVar("_Table", _Built, _Proposed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Around:
-    """A model at whose place tables are judged as driven inputs, and what they are judged beside: a linear fit."""
-
-    subject: Subject
-    fit: Refit
-    beside: Refit
-
-    @classmethod
-    def without(cls, built: _Built) -> _Around:
-        """Return a model with a table, beside which tables are judged that take its place."""
-        fit, names = built.fitted.fit, built.law.sizes
-        own = np.array([u.name in names for u in fit.unknowns])
-        values = np.array([fit.values[u.name] for u in fit.unknowns])
-        beside = replace(
-            fit,
-            unknowns=tuple(u for u in fit.unknowns if u.name not in names),
-            values={n: v for n, v in fit.values.items() if n not in names},
-            residuals=tuple(r - j[:, own] @ values[own] for r, j in zip(fit.residuals, fit.jacobian, strict=True)),
-            jacobian=tuple(j[:, ~own] for j in fit.jacobian),
-        )
-        return cls(built.subject, fit, beside)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Search:
     found: Found
     base: Fitted
@@ -231,18 +206,14 @@ class _Search:
         here = spot(name, self.inside, subject.model, values)
         return None if here is None else replace(here, courses=here.around)
 
-    def _over_one(
-        self, place: Spot, over: Sequence[Quantity], around: _Around | None = None, counts: Sequence[int] = _KNOTS
-    ) -> Iterator[_Proposed]:
+    def _over_one(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
         """Yield tables over one variable, with more and more knots."""
         for x in over:
-            fine = _knots(place, x, counts[-1])
-            columns = self._moved(place, hats(_courses(place, x), fine), around)
-            for knots in dict.fromkeys(_some(fine, n) for n in counts):
+            fine = _knots(place, x, _KNOTS[-1])
+            columns = self._moved(place, hats(_courses(place, x), fine))
+            for knots in dict.fromkeys(_some(fine, n) for n in _KNOTS):
                 at = fine[list(knots)]
-                yield from self._judged(
-                    place, (x,), (at,), columns, np.array(hats([fine], at))[:, 0].T, around=around
-                )
+                yield from self._judged(place, (x,), (at,), columns, np.array(hats([fine], at))[:, 0].T)
 
     def _over_two(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
         """Yield tables over two variables."""
@@ -257,14 +228,11 @@ class _Search:
                     weights = [np.array(hats([f], a))[:, 0].T for f, a in zip(fine, at, strict=True)]
                     yield from self._judged(place, (x, y), at, columns, np.kron(*weights))
 
-    def _moved(
-        self, place: Spot, basis: Sequence[tuple[FloatArray, ...]], around: _Around | None = None
-    ) -> tuple[FloatArray, ...] | None:
+    def _moved(self, place: Spot, basis: Sequence[tuple[FloatArray, ...]]) -> tuple[FloatArray, ...] | None:
         """Return by how much functions at a place move the residuals, (M_e, B) per experiment."""
-        around = around or self._around
-        port = replace(around.subject.catalogue.ports[place.port.name], magnitude=DRIVEN * place.flow)
-        model, observed = around.subject.model, around.subject.observed
-        moved = [m for m in moved_by(model, observed, around.fit, port, tuple(basis)) if m]
+        subject = self.found.subject
+        port = replace(subject.catalogue.ports[place.port.name], magnitude=DRIVEN * place.flow)
+        moved = [m for m in moved_by(subject.model, subject.observed, self.base.fit, port, tuple(basis)) if m]
         if len(moved) < len(basis):
             return None
         return tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
@@ -276,20 +244,14 @@ class _Search:
         knots: tuple[FloatArray, ...],
         columns: tuple[FloatArray, ...] | None,
         weights: FloatArray,
-        *,
-        around: _Around | None = None,
     ) -> Iterator[_Proposed]:
         """Yield a table, (B, K) `weights` of whose functions make it of those that move the residuals."""
         if columns is None:
             return
         response = Response("", tuple(c @ weights for c in columns))
-        (decoy,) = fit_decoys([response], (around or self._around).beside, self.found.subject.observed)
+        (decoy,) = fit_decoys([response], self.base.fit, self.found.subject.observed)
         sizes = tuple(DRIVEN * place.flow * a for a in decoy.amounts)
         yield _Proposed(place, _terms(over, knots), sizes, decoy.held_out, 0.0, over, knots)
-
-    @property
-    def _around(self) -> _Around:
-        return _Around(self.found.subject, self.base.fit, self.base.fit)
 
     def _built(self, proposed: Iterable[_Proposed]) -> _Built | None:
         """Build the most promising tables into the model, each of one size, and return the one that predicts best.
@@ -304,16 +266,22 @@ class _Search:
         if not built:
             return None
         first = _simplest(built)
-        return _simplest([first, *self._fitted(self._again(first))])
+        return _simplest([first, *self._fitted(self._resized(first))])
 
-    def _again(self, before: _Built) -> list[_Proposed]:
-        """Return the best size of a table over one variable along the trajectories of the model that has it."""
+    def _resized(self, before: _Built) -> list[_Proposed]:
+        """Return tables of all sizes over the same variable, along the trajectories of the model that has one."""
         if len(before.over) > 1:
             return []
-        around, values = _Around.without(before), before.fitted.fit.values
-        place = self._along(before.law.spot.port.name, before.subject, values)
-        resized = [] if place is None else [*self._over_one(place, before.over, around, _FINER)]
-        return [_simplest(resized)] if resized else []
+        (x,), values, held_out = before.over, before.fitted.fit.values, before.held_out
+        place = self._along(before.law.spot.port.name, before.subject, values) or before.law.spot
+        fine = _knots(place, x, _FINER[-1])
+        found = []
+        for knots in dict.fromkeys(_some(fine, n) for n in _FINER):
+            at = fine[list(knots)]
+            sizes = np.interp(at, before.knots[0], [values[n] for n in before.law.sizes])
+            terms = _terms((x,), (at,))
+            found.append(_Proposed(place, terms, tuple(map(float, sizes)), held_out, 0.0, (x,), (at,)))
+        return found
 
     def _fitted(self, proposed: Sequence[_Proposed]) -> list[_Built]:
         """Put tables into the model, each while the others are off, and refit each with all parameters."""
@@ -436,8 +404,16 @@ def _courses(place: Spot, x: Quantity) -> list[FloatArray]:
 
 
 def _knots(place: Spot, x: Quantity, count: int) -> FloatArray:
-    """Return knots near quantiles of what the runs reached, as numbers with few digits."""
-    at = quantile_knots(_courses(place, x), count)
+    """Return knots near quantiles of what two runs or more have reached, as numbers with few digits.
+
+    Beyond that, no other run shows what a left-out one does.
+    """
+    courses = _courses(place, x)
+    if len(courses) > 1:
+        low, high = sorted(c.min() for c in courses)[1], sorted(c.max() for c in courses)[-2]
+        shared = [c[(c >= low) & (c <= high)] for c in courses]
+        courses = [c for c in shared if len(c) > 1 and np.ptp(c) > 0.0] if low < high else courses
+    at = quantile_knots(courses, count)
     shares = np.linspace(0.0, 1.0, len(at))
     knots = (1.0 - _EVEN) * at + _EVEN * (at[0] + np.ptp(at) * shares)
     return np.unique(np.round(knots, 4 - int(np.floor(np.log10(np.ptp(knots))))))
