@@ -309,7 +309,10 @@ def test_laws_follow_the_domain():
     assert domain_of("m", "N") == "translational"
     assert domain_of("m", "m3/s") == "fluid"
     assert domain_of("V", None) is None
-    assert possible_laws(flat("Circuit"))["capacitor"] == ["leakage", "resistance", "voltage_drop"]
+    passed = ["leakage", "resistance", "voltage_drop", "voltage_hysteresis"]
+    assert possible_laws(flat("Circuit"))["capacitor"] == passed
+    assert "iron_hysteresis" in possible_laws(flat("Circuit"))["inductor"]
+    assert "threshold" in possible_laws(flat("Tanks"))["pipe"]
     assert "hysteresis" in possible_laws(flat("TwoMass"))["shaft"]
     assert "eddy" in possible_laws(flat("Circuit"))["inductor"]
     assert "eddy" not in possible_laws(flat("Circuit"))["resistor"]

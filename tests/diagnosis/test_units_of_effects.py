@@ -33,6 +33,7 @@ def test_effects_of_a_recorded_signal_have_its_units():
         "lag": ["s"],
         "delay": ["s"],
         "saturation": ["1/(N)", "1"],
+        "play": ["N"],
         "drift": ["N/s"],
     }
 
@@ -42,5 +43,6 @@ def test_laws_at_a_signal_of_the_model_have_its_units():
     place = Place(Port("F", "signal", "signal", ("a.y",), ("N", "1"), quantities), dict.fromkeys(SIZES, 1.0))
     found = {n: units("\n".join(effect_lines(n, law, place)))[n] for n, law in fitting(place)}
     assert found["gain"] == ["1"]
-    assert found["offset"] == found["dead_zone"] == ["N"]
+    assert found["offset"] == found["dead_zone"] == found["play"] == ["N"]
+    assert found["rate_limit"] == ["s/(N)"]
     assert found["saturation"] == ["1/(N)", "1"]

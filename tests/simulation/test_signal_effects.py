@@ -201,6 +201,25 @@ def test_inputs_that_saturate_have_a_dead_zone_or_see_each_other():
     np.testing.assert_allclose(both, u + 0.1 * U)
 
 
+def test_an_input_with_play_follows_only_what_moves_beyond_it():
+    u = np.array([0.0, 1.0, 0.5, -1.0, -0.9, 0.0, 2.0])
+    y = disturbed_input(np.arange(7.0), u, {"play": 0.6}, linear=True).values
+    np.testing.assert_allclose(y, [0.0, 0.4, 0.4, -0.4, -0.4, -0.4, 1.4])
+    read = disturbed_readings(u[None], ("a",), {"a": {"play": 0.6}}, np.arange(7.0), {})
+    np.testing.assert_allclose(read[0], y)
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_an_input_with_a_limited_rate_has_the_same_integral_as_a_ramp(linear):
+    time = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    u = np.array([0.0, 1.0, 1.0, 1.0, -5.0])
+    y = disturbed_input(time, u, {"slowness": 2.0}, linear=linear).values
+    expected = [0.0, 0.5, 1.0, 1.0, 0.5] if linear else [0.0, 0.25, 0.75, 1.0, 1.0]
+    np.testing.assert_allclose(y, expected)
+    soon = disturbed_input(time, u, {"slowness": 0.1}, linear=False).values
+    np.testing.assert_allclose(soon[:4], [0.0, 0.95, 1.0, 1.0])
+
+
 @pytest.mark.parametrize(
     ("prop", "unit"),
     [

@@ -30,6 +30,8 @@ _WORDS = {
         "Limit of the amplifier, magnetic saturation",
     ),
     ("input", "dead_zone"): ("'{}' acts only beyond a threshold", "Overlap of a valve, threshold of an amplifier"),
+    ("input", "play"): ("'{}' acts with play", "Linkages and gears between actuator and valve"),
+    ("input", "rate_limit"): ("'{}' acts with a limited rate", "Motors that move valves; ramps in a controller"),
     ("input", "crosstalk"): ("'{}' acts with a share of other inputs", "Coupling between channels"),
     ("output", "gain"): ("'{}' is read with a wrong scale", "Calibration of the sensor"),
     ("output", "offset"): ("'{}' is read with a constant added", "Zero of the sensor"),
@@ -40,6 +42,7 @@ _WORDS = {
         "'{}' is read without its sign",
         "Frequency counters, rectifiers, encoders of one channel",
     ),
+    ("output", "play"): ("'{}' is read with play", "Hysteresis of the transducer; gears before an encoder"),
     ("output", "drift"): ("'{}' is read with a zero that drifts over a run", "Warming of the sensor"),
     ("output", "crosstalk"): (
         "'{}' is read with a share of other signals",
@@ -48,6 +51,7 @@ _WORDS = {
 }
 _HARD = 100.0  # a practically abrupt limit
 _ONE_SIGN = 0.05  # of its range: a signal that goes no further below zero never changes its sign
+_UNUSUAL = ("crosstalk", "play", "rate_limit")
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
@@ -177,6 +181,15 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
             _Size("compression", (0.3 / most, 1 / most, 1.5 / most), (0.0, 0.0, 20 / most, 0.02 / most), per),
             _Size("hardness", (), (4.0, 1.0, _HARD, 0.1), "1", shape=True),
         ],
+        "play": [_Size(law, (0.01 * size, 0.05 * size, 0.2 * size), (0.0, 0.0, size, 1e-3 * size), s.unit)],
+        "rate_limit": [
+            _Size(
+                "slowness",
+                (2.0 * step / size, 10.0 * step / size, 0.05 * duration / size),
+                (0.0, 0.0, duration / size, 2e-3 * step / size),
+                f"s/({s.unit})",
+            )
+        ],
         "dead_zone": [_Size(law, (0.01 * most, 0.05 * most), (0.0, 0.0, most, 1e-3 * most), s.unit)],
     }  # fmt: skip
     return known[law]
@@ -203,7 +216,7 @@ def _effect(signal: str, law: str, description: str, source: str, sizes: Iterabl
         f"source = {toml_text(source)}",
         f"port = {toml_text(signal)}",
         *(["two_sided = true"] if law in _TWO_SIDED else []),
-        *(["usual = false"] if law == "crosstalk" else []),
+        *(["usual = false"] if law in _UNUSUAL else []),
         f"trials = [{', '.join(trials)}]",
         f"{table}.parameters]",
         *rows,

@@ -3,8 +3,9 @@
 A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
 ``delay`` (s), ``drift`` (per second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
 value in the signal's unit; 0 for none), ``compression`` (the reciprocal of that value; ``hardness`` determines how
-abruptly it is reached), ``rectification`` (share of its magnitude; 1: the sign is lost), and
-``crosstalk[<other>]`` (that share of another signal).
+abruptly it is reached), ``rectification`` (share of its magnitude; 1: the sign is lost), ``play`` (half its width:
+the signal follows only as far as it moves beyond), ``slowness`` (of an input: the reciprocal of its largest rate;
+0 for none), and ``crosstalk[<other>]`` (that share of another signal).
 
 Before its first sample, a signal is assumed constant at that sample's value. This holds for delays and lags of
 inputs and outputs.
@@ -30,7 +31,7 @@ from fmuid.simulation.simulator import Task, Variable
 
 NEUTRAL = {
     "offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0, "drift": 0.0, "dead_zone": 0.0,
-    "compression": 0.0, "hardness": 4.0, "rectification": 0.0,
+    "compression": 0.0, "hardness": 4.0, "rectification": 0.0, "play": 0.0, "slowness": 0.0,
 }  # fmt: skip
 _CROSSTALK = re.compile(r"(?P<signal>.+)\.(?P<property>crosstalk\[(?P<other>.+)\])")
 _APART = 1e-6  # share of the shortest step: points closer to each other are merged
@@ -110,11 +111,25 @@ def disturbed_input(
 ) -> Course:
     """Return the input that reaches the model for (N,) samples `u`: scaled, limited, delayed and lagged."""
     y = _limited(u * effect.get("gain", 1.0) + _added(time, effect, others or {}), effect)
+    if (slowness := effect.get("slowness", 0.0)) > 0.0:
+        y = _ramped(time, y, 1.0 / slowness, linear=linear)
     edges = time
     if effect.get("delay", 0.0) > 0.0:
         edges, y = np.append(time[0], time + effect["delay"]), np.append(y[0], y)
     course = Course(edges, y, linear)
     return _behind(course, _joined(time, edges), effect["lag"]) if effect.get("lag", 0.0) > 0.0 else course
+
+
+def _ramped(time: FloatArray, y: FloatArray, rate: float, *, linear: bool) -> FloatArray:
+    """Return a signal that follows another one at no more than a rate; if held, its mean over each step."""
+    found, at = np.empty(len(y)), float(y[0])
+    for k, (step, wanted) in enumerate(zip(np.diff(time).tolist(), y[int(linear) :].tolist(), strict=False)):
+        most = rate * step
+        moved = min(max(wanted - at, -most), most)
+        found[k] = at if linear else at + moved * (1.0 - 0.5 * abs(moved) / most)
+        at += moved
+    found[-1] = at
+    return found
 
 
 def _behind(course: Course, edges: FloatArray, lag: float) -> Course:
@@ -290,12 +305,23 @@ def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
         y = (1.0 - share) * y + share * np.abs(y)
     if width > 0.0:
         y = y - np.clip(y, -width, width)
+    if (play := effect.get("play", 0.0)) > 0.0:
+        y = _with_play(y, play)
     if steep > 0.0:
         hardness = effect.get("hardness", NEUTRAL["hardness"])
         size = np.abs(steep * y)
         most = np.maximum(size, 1.0)  # powers of shares of it cannot overflow
         y = y / (most * (most**-hardness + (size / most) ** hardness) ** (1.0 / hardness))
     return np.asarray(limit * np.tanh(y / limit)) if limit > 0.0 else y
+
+
+def _with_play(y: FloatArray, width: float) -> FloatArray:
+    """Return a signal that another one takes along at either end of a play, in the middle of it at first."""
+    found, at = np.empty(len(y)), float(y[0])
+    for k, value in enumerate(y.tolist()):
+        at = min(max(at, value - width), value + width)
+        found[k] = at
+    return found
 
 
 def _joined(time: FloatArray, *others: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturb
 from fmuid.simulation.simulator import Simulator, Task, Variable, Wrapped
 
 _UNITS = {"gain": "1", "hardness": "1", "lag": "s", "delay": "s"}
-_IN_UNIT = ("offset", "saturation", "dead_zone")  # values in the signal's unit
+_IN_UNIT = ("offset", "saturation", "dead_zone", "play")  # values in the signal's unit
 _COMMUTE = ("gain", "lag", "delay")  # effects that commute with differentiating the signal
 
 
