@@ -496,3 +496,42 @@ def test_an_effect_that_closes_two_thirds_is_sure_though_its_rest_enters_at_its_
     subject = SimpleNamespace(effects=(Effect("coulomb@joint", "", "joint", (), {}, (), law="coulomb"),))
     nominal, best = fitted((), 2.0), fitted(("coulomb@joint",), 2.0 * (1.0 - closure))
     assert (diagnose._sure_part(subject, nominal, best, alike=True) is not None) == sure
+
+
+def test_the_odds_of_slow_noise_fall_with_the_gain_on_left_out_runs():
+    """Two over the gap without a prediction; the p-value of the gain, times the number of models, reduces them."""
+    nominal = replace(fitted((), 4.0), held_out=lost(10.0, 12.0, 14.0))
+    good = replace(fitted(("a",), 1.0), held_out=lost(2.0, 3.0, 4.0))  # gains of 8, 9 and 10 in three runs
+    worse = replace(fitted(("b",), 4.0), held_out=lost(11.0, 13.0, 15.0))
+    t = 9.0 / np.sqrt(1.0 / 3.0)
+    chance = 0.5 * (1.0 - t / np.sqrt(2.0 + t**2))  # Student's t with two degrees of freedom
+    assert decide.by_chance(nominal, good, 1) == pytest.approx(0.5 * chance)
+    assert decide.by_chance(nominal, good, 6) == pytest.approx(0.5 * 6 * chance)
+    assert decide.by_chance(nominal, worse, 6) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "strained", "best"),
+    [
+        (0.1, (), ("a", "b")),  # better in every run
+        (4.0, (), ("a",)),  # no more than runs scatter
+        (0.1, ("b",), ("a",)),  # at an implausible bound
+    ],
+)
+def test_the_best_explanation_is_simple_and_plausible(monkeypatch, scatter, strained, best):
+    """Two effects predict left-out runs better than one does, by 2 +- 0.1 or 2 +- 4."""
+    one = replace(fitted(("a",), 2.0, parameters=1), held_out=lost(4.0, 4.0, 4.0))
+    two = replace(
+        fitted(("a", "b"), 1.0, parameters=2), held_out=lost(2.0 - scatter, 2.0 + 2.0 * scatter, 2.0 - scatter)
+    )
+    monkeypatch.setattr(decide, "strained", lambda fit, _: any(n in strained for n in fit.effects))
+    monkeypatch.setattr(decide, "closes_something", lambda *_: True)
+    found = SimpleNamespace(evidence=SimpleNamespace(present=True), candidates=[one, two], nominal=fitted((), 3.0))
+
+    class Closing:
+        subject = SimpleNamespace(effects=())
+
+        def __call__(self, fit):
+            return SimpleNamespace(validated=1.0 - fit.held_out.gap / 3.0)
+
+    assert diagnose._explaining(found, Closing()).effects == best

@@ -39,7 +39,7 @@ def swing():
     task = Task(TIME, {"u": np.sign(np.sin(0.3 * TIME))}, ("y",))
     noise = 0.01 * np.random.default_rng(3).standard_normal((3, TIME.size))
     case = measured_case("free", Swing(), task, {"y": Swing().simulate(task, TRUE) + noise})
-    model = CampaignModel((replace(case, setup="swing"),))
+    model = CampaignModel((replace(case, setup="swing", columns={"T_air": ("degC", TIME)}),))
     unknowns = tuple(Unknown(n, start, 0.0, 3.0, 1e-3) for n, start in (("w", 1.0), ("more", 0.0)))
     return Subject(model, Observed.from_runs(model.runs), unknowns, Catalogue({}, {}, {}), ())
 
@@ -59,6 +59,7 @@ def test_a_beginning_is_the_same_runs_and_noise_for_a_shorter_time(swing):
     part = beginning(swing, 0.25)
     (run,), (whole,) = part.observed.runs, swing.observed.runs
     np.testing.assert_array_equal(run.values, whole.values[..., :300])
+    np.testing.assert_array_equal(part.model.cases[0].columns["T_air"][1], TIME[:300])
     (short,), (long,) = (s.model.predict([TRUE]) for s in (part, swing))
     np.testing.assert_array_equal(short[0], long[0][:, :300])
     residual = part.observed.residuals(short)[0]

@@ -735,6 +735,18 @@ nominal = ["A"]
 """
 
 
+ONE_TANK = """
+[campaign]
+name = "tank"
+[models.levels]
+source = "Tank.mo"
+[parameters.k]
+start = 0.1
+lower = 0.001
+upper = 1
+"""
+
+
 def test_setups_with_other_signals_share_a_catalogue(tmp_path, monkeypatch):
     """One setup reads a level, another also how fast it rises; an effect couples signals that were read together."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -764,6 +776,25 @@ def test_setups_with_other_signals_share_a_catalogue(tmp_path, monkeypatch):
     assert [u.name for u in subject.nominal] == ["A"]
     assert {u.name for u in subject.by_id["crosstalk@h"].unknowns} == {"h.crosstalk[u]"}
     assert not [name for name in subject.by_id if name.endswith("@rise")]
+
+
+def test_sizes_come_from_the_refitted_model(tmp_path, monkeypatch):
+    """The plain model's start value of k says that the tank fills to 0.5 m; it fills to 2.5 m."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "Tank.mo").write_text(TANK)
+    (tmp_path / "campaign.toml").write_text(ONE_TANK)
+    time, random = np.linspace(0.0, 600.0, 301), np.random.default_rng(2)
+    level = 2.5 * (1 - np.exp(-0.01 * time)) + 1e-3 * random.standard_normal((3, 301))
+    runs = {}
+    for k, h in enumerate(level):
+        signals = [Signal("u", np.full(301, 0.05), "m3/s", "input"), Signal("h", h, "m", "output")]
+        runs[f"l{k}"] = Experiment(f"l{k}", "levels", time, {s.name: s for s in signals})
+    write_measurements(Measurements(runs), tmp_path / "measurements.h5")
+    campaign = with_catalogue(load_campaign(tmp_path), load_simulator)
+    (rim,) = (
+        u for u in load_catalogue(campaign.effects.file).effects["overflow@h.balance"].unknowns if "rim" in u.name
+    )
+    assert rim.upper == pytest.approx(2.5, rel=0.02)
 
 
 LOOPS = """

@@ -141,8 +141,10 @@ def _beginning(case: Case, share: float) -> Case:
     task = replace(
         case.task, time=case.task.time[:end], inputs={name: u[:end] for name, u in case.task.inputs.items()}
     )
-    channels = tuple(replace(c, repeats=c.repeats[:, : end - case.lead]) for c in case.channels)
-    return replace(case, task=task, channels=channels, criteria=())
+    samples = end - case.lead
+    channels = tuple(replace(c, repeats=c.repeats[:, :samples]) for c in case.channels)
+    columns = {name: (unit, values[:samples]) for name, (unit, values) in case.columns.items()}
+    return replace(case, task=task, channels=channels, columns=columns, criteria=())
 
 
 def _ends(

@@ -547,15 +547,16 @@ def closure_interval(
     return float(drawn[first]), float(drawn[first + kept - 1])
 
 
-def advantage(better: HeldOut, worse: HeldOut) -> tuple[float, float]:
+def advantage(better: HeldOut, worse: HeldOut, *, elsewhere: bool = False) -> tuple[float, float]:
     """Return the mean difference of losses (worse - better) and its standard error over the runs.
 
     Experiments are not a sample from a population: an effect that only one of them shows is just as real. What is
-    random is the recorded runs, or pieces of runs if none was repeated.
+    random is the recorded runs, or pieces of runs if none was repeated. How models predict experiments `elsewhere`
+    also scatters from experiment to experiment.
     """
     size = better.size / better.size.sum()
     difference = (worse.loss - better.loss) * size
-    if all(len(a) < 2 for a in worse.per_run):
+    if elsewhere or all(len(a) < 2 for a in worse.per_run):
         n = len(difference)
         spread = n / max(n - 1, 1) * float(np.sum((difference - difference.mean()) ** 2))
         return float(difference.sum()), float(np.sqrt(spread))

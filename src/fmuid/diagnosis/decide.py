@@ -46,6 +46,7 @@ _IDENTICAL = 1e-3  # of what effects do to the predictions: less than any coupli
 _INTERVAL = 1.645  # standard errors: the 90 % interval of what is gained excludes zero
 _NEVER = 1e-3  # weight of what a verdict rules out: no probability is zero
 _HIDDEN = 0.15  # weight of an effect whose gap would just matter, where no gap was seen
+_POSSIBLE = 0.5  # odds of something unknown against slow noise, for each floor of a gap that no model predicts
 _UNKNOWN = 0.95  # weight of the verdict *unknown*; the rest goes to what comes closest
 _DOUBT = 0.02  # least weight of something unknown in addition to what was named
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
@@ -341,7 +342,8 @@ def weigh(
     leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
     insufficient, the odds against `NONE` grow with the gap: they are half of it, in floors, for `UNKNOWN`, and a
     sixth for effects, as found in single runs of rigs other than actuators. If no gap was `seen`, there may still
-    be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open.
+    be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open, and `NONE` what
+    the prediction of left-out data leaves (`by_chance`).
     """
     closing = validated if provisional else closed_by
     closed = float(np.clip(closing(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
@@ -350,12 +352,15 @@ def weigh(
             none, unknown, named = 1.0, _NEVER, _HIDDEN * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
         case "insufficient":
             possible = nominal.gap if seen else max(1.0, nominal.gap)
-            none, unknown, named = 1.0, possible / 2, possible / 6 / max(1, len(surviving))
+            none, unknown, named = 1.0, _POSSIBLE * possible, possible / 6 / max(1, len(surviving))
         case "unknown":
             none, unknown, named = _NEVER, _UNKNOWN, 1.0 - _UNKNOWN
         case _:
             doubt = 1.0 - closed if provisional else _doubt(closed)
             none, unknown, named = _NEVER, max(_DOUBT, doubt), max(_NEVER, closed)
+            if provisional and surviving:
+                among = max(1, sum(bool(r.effects) for r in rivals))
+                none = max(_NEVER, by_chance(nominal, surviving[0], among))
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
     odds = [log_odds(s, surviving[0], observed) for s in surviving]  # the first one need not be the likeliest
@@ -381,6 +386,19 @@ def _of_rivals(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: 
     }
     odds = [log_odds(surviving[0], r, observed) for names, r in others.items() if names not in named]
     return float(sum(min(1.0 / OPEN, np.exp(-max(0.0, o))) for o in odds))
+
+
+def by_chance(nominal: Fitted, fitted: Fitted, among: int) -> float:
+    """Return the odds of slow noise against a gap, where a model predicts left-out data of runs without repeats.
+
+    Without a prediction they are two over the gap in floors, as found in single runs of rigs other than
+    actuators. They fall by the p-value of the gain on left-out data (Student's t over the folds), times the number
+    of models from which the best was chosen (Bonferroni).
+    """
+    gained, error = advantage(fitted.held_out, nominal.held_out, elsewhere=True)
+    folds = len(fitted.held_out.loss)
+    chance = float(stdtr(float(folds - 1), -gained / error)) if folds > 1 and error > 0.0 else float(gained <= 0.0)
+    return min(1.0, among * chance) / _POSSIBLE / max(nominal.gap, 1e-6)
 
 
 def closes_something(nominal: Fitted, fitted: Fitted, closed: Closure) -> bool:

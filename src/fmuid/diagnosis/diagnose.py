@@ -26,7 +26,15 @@ from fmuid.diagnosis.candidates import (
     twins,
     without,
 )
-from fmuid.diagnosis.cross_validation import NoiseDraws, Null, closure, closure_interval, draw_noise, in_sample
+from fmuid.diagnosis.cross_validation import (
+    NoiseDraws,
+    Null,
+    advantage,
+    closure,
+    closure_interval,
+    draw_noise,
+    in_sample,
+)
 from fmuid.diagnosis.decide import tolerated
 from fmuid.diagnosis.effect_search import aliases, finished, search
 from fmuid.diagnosis.extended_model import Prediction
@@ -454,13 +462,21 @@ def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], 
 
 
 def _explaining(found: _Searched, closing: Closing) -> Fitted | None:
-    """Return the model that closes most of the gap on left-out data; None if none closes anything."""
+    """Return the simplest plausible model that predicts left-out data as well as any; None if nothing is closed.
+
+    As well is within one standard error of the one that closes most (Breiman et al. 1984). Models with effects at
+    implausible bounds imitate something else, so they count only where no other closes anything.
+    """
     if not found.evidence.present:
         return None
     explaining = [
         c for c in found.candidates if c.effects and decide.closes_something(found.nominal, c, closing(c))
     ]
-    return max(explaining, key=lambda c: closing(c).validated, default=None)
+    plausible = [c for c in explaining if not decide.strained(c, closing.subject.effects)]
+    ranked = sorted(plausible or explaining, key=lambda c: -closing(c).validated)
+    gains = ((c, *advantage(ranked[0].held_out, c.held_out, elsewhere=True)) for c in ranked)
+    as_well = [c for c, gained, error in gains if gained <= error]
+    return min(as_well, key=lambda c: len(c.fit.unknowns), default=None)
 
 
 def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:
@@ -499,7 +515,7 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
     observed, nominal, paths = subject.observed, found.nominal, found.paths
     evidence = found.evidence
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
-    surviving, plausible = _surviving(subject, found)
+    surviving, plausible = _surviving(subject, found, closing)
     best = surviving[0] if surviving else None
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
@@ -534,8 +550,14 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
     # Without repeats, a gap that no effect explains may be slow noise, unless a law fitted to some runs predicts
     # it in others.
     doubted = best is None or not named_at_all or imitated
-    predicts = best is not None and plausible and decide.closes_something(nominal, best, closing(best))
-    provisional = doubted and observed.bounded and predicts
+    provisional = (
+        doubted
+        and observed.bounded
+        and best is not None
+        and plausible
+        and decide.closes_something(nominal, best, closing(best))
+        and decide.by_chance(nominal, best, len(found.candidates)) < 1.0
+    )
     if best is None or (doubted and not provisional):
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
@@ -557,16 +579,25 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
     return Judgement(verdict, surviving, entered)
 
 
-def _surviving(subject: Subject, found: _Searched) -> tuple[tuple[Fitted, ...], bool]:
+def _surviving(subject: Subject, found: _Searched, closing: Closing) -> tuple[tuple[Fitted, ...], bool]:
     """Return the answers that the data leave open, and whether they are plausible.
 
-    An effect at implausible bounds does not hide a plausible one next to it.
+    An effect at implausible bounds does not hide a plausible one next to it. What closes nothing of a gap is no
+    answer.
     """
 
     def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
         return tuple(a for a in answers if not decide.strained(a, subject.effects))
 
+    def closes(fitted: Fitted) -> bool:
+        if subject.observed.bounded:
+            return decide.closes_something(found.nominal, fitted, closing(fitted))
+        return decide.closed_by(found.nominal, fitted) > 0.0
+
     best, candidates = found.best, found.candidates
+    if found.evidence.present:
+        candidates = [c for c in candidates if closes(c)]
+        best = best if best is None or closes(best) else None
     if best is None:
         return (), False
     surviving = decide.survivors(best, candidates, subject.observed)

@@ -192,7 +192,28 @@ def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
 def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:
     """Refit `best` with further effects; none if its residual and their scores are within the noise."""
     further, finished = _further(subject, best, scores, noise)
-    return [] if finished else _added(subject, best, *_chosen(subject, best, further, _PAIRS, _EARLY_BESIDE))
+    distinct = _distinct(subject, further)
+    return [] if finished else _added(subject, best, *_chosen(subject, best, distinct, _PAIRS, _EARLY_BESIDE))
+
+
+def _distinct(subject: Subject, scores: Sequence[Score]) -> list[Score]:
+    """Return the simplest of each group of effects that do nearly the same, those that score best first."""
+    groups: list[list[tuple[Score, FloatArray]]] = []
+    for score in scores:
+        if (signature := score.signature) is None:
+            continue
+        group = next((g for g in groups if similarity(g[0][1], signature) > _ALIKE), None)
+        if group is None:
+            groups.append([(score, signature)])
+        else:
+            group.append((score, signature))
+    return [
+        min(
+            (s for s, _ in group if s.drop >= _CLOSE * group[0][0].drop),
+            key=lambda s: subject.by_id[s.effect].preference,
+        )
+        for group in groups
+    ]
 
 
 def _further(

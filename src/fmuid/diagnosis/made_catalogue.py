@@ -20,8 +20,9 @@ from fmuid.core.experiments import Experiment
 from fmuid.core.files import remove_unused, user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import read_toml, toml_document, toml_text
+from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.subject import subject_of
+from fmuid.diagnosis.subject import Subject, subject_of
 from fmuid.diagnosis.variants import (
     acts_on,
     carrier,
@@ -29,7 +30,6 @@ from fmuid.diagnosis.variants import (
     observed_states,
     state_of,
     state_places,
-    varying_parameters,
     with_laws,
 )
 from fmuid.diagnosis.varying import varying_lines
@@ -51,7 +51,7 @@ _TOLERATED = 10.0  # standard deviations by which a held value may be wrong
 _HEAD = """\
 # What the model may lack, for `fmuid diagnose`: laws at the ports of its source, its signals and held parameters.
 # `expression` is Modelica and is added to the model at the port; it may use every variable of the model.
-# To add a law of your own, add an entry. Sizes are shares of the flows and motions in the nominal simulation.
+# To add a law of your own, add an entry. Sizes are shares of the flows and motions of the refitted model.
 """
 
 
@@ -351,82 +351,94 @@ def _seen(campaign: Campaign) -> list[Experiment]:
 def made_catalogue(
     campaign: Campaign, load: Callable[[ModelSpec], Simulator], *, runner: Runner = in_process
 ) -> str:
-    """Return the text of the catalogue of a campaign's models, sized by a simulation of the runs diagnosed."""
-    setups = _sources(campaign)
+    """Return the text of the catalogue of a campaign's models, sized by the refitted models in the runs."""
+    setups, states = _sources(campaign), exchanged(campaign)
     named = experiments_of(campaign, _spec(campaign).experiments, where="[effects] experiments")
     chosen = named or _seen(campaign)
-    parts: list[Place] = []
     held: dict[str, Held] = {}
     recorded: list[RecordedSetup] = []
+    models: dict[str, CampaignModel] = {}
     fixed = campaign.start_values
-    states = exchanged(campaign)
     nominal = {m.variable(name) for name in _spec(campaign).nominal for m in campaign.models.values()}
     for name in dict.fromkeys(e.setup for e in chosen):
         model = campaign.models[name]
         runs = [e for e in chosen if e.setup == name]
         simulator = load(model)
         recorded.append(RecordedSetup(runs, model, simulator.variables))
-        cases = in_segments(campaign, runs, {name: simulator}, fixed)
-        simulated = CampaignModel(cases, runner, fixed)
-        if name in setups:
-            ports = find_ports(setups[name].flat)
-            probes = [p for port in ports for group in port.probes.values() for p in group]
-            probes += [name for port in ports for name in names_at(port)]
-            wanted = [n for n in dict.fromkeys(probes) if n in simulator.variables]
-            found = simulated.trajectories({}, wanted)
-            courses = [dict(zip(wanted, rows, strict=True)) for rows in found]
-            parts += sized(ports, [c.time for c in cases], courses)
-            values = {v.name: v.unit or "1" for v in held_parameters(setups[name].flat)}
-        else:
-            values = {
-                n: v.unit or "1"
-                for n, v in simulator.variables.items()
-                if v.causality == "parameter" and v.type in ("Real", "Float64")
-            }
-            if name in states:
-                parts += _at_states(states[name], simulated, [c.time for c in cases], simulator)
+        models[name] = CampaignModel(in_segments(campaign, runs, {name: simulator}, fixed), runner, fixed)
         given = {model.variable(p.name): p for p in campaign.parameters.values()}
-        for parameter, unit in values.items():
-            value, spec = _held_value(parameter, simulated, fixed), given.get(parameter)
+        for parameter, unit in _parameters(setups.get(name), simulator).items():
+            value, spec = _held_value(parameter, models[name], fixed), given.get(parameter)
             known = parameter in nominal or (spec is not None and spec.known)
-            bounds = _bounds(simulated, spec) if spec is not None and value == 0.0 else None
+            bounds = _bounds(models[name], spec) if spec is not None and value == 0.0 else None
             if not known and value is not None and (value or bounds) and parameter not in held:
                 held[parameter] = Held(value, unit, None if spec is None else spec.tolerance, bounds)
-    text = catalogue_text(_merged(parts), held, signal_catalogue(recorded))
-    if not setups and not any(varying_parameters(fmu) for fmu in states.values()):
+    signals = signal_catalogue(recorded)
+    plain = catalogue_text([], held, signals)
+    if not setups and not states:
+        return plain
+    subject = _plain_subject(campaign, plain, setups, load, runner)
+    fitted = fit_effects(subject, (), [{}])
+    at = {} if fitted is None else fitted.fit.values
+    parts: list[Place] = []
+    for name, simulated in models.items():
+        if name in setups:
+            parts += _at_ports(setups[name].flat, simulated, at)
+        elif name in states:
+            parts += _at_states(states[name], simulated, at)
+    text = catalogue_text(_merged(parts), held, signals)
+    if fitted is None:
         return text
-    return f"{text}\n{_varying(campaign, text, setups, load, runner)}"
+    varying: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **states}
+    return "\n".join([text, *varying_lines(subject, fitted, campaign, varying, tomllib.loads(text)["ports"])])
 
 
-def _varying(
+def _parameters(setup: _Setup | None, simulator: Simulator) -> dict[str, str]:
+    """Return the parameters of a setup's model that may be held, with their units."""
+    if setup is not None:
+        return {v.name: v.unit or "1" for v in held_parameters(setup.flat)}
+    return {
+        n: v.unit or "1"
+        for n, v in simulator.variables.items()
+        if v.causality == "parameter" and v.type in ("Real", "Float64")
+    }
+
+
+def _plain_subject(
     campaign: Campaign,
     text: str,
     setups: Mapping[str, _Setup],
     load: Callable[[ModelSpec], Simulator],
     runner: Runner,
-) -> str:
-    """Return the entries for coefficients that vary, chosen with the plain models refitted to the runs."""
-    tables = tomllib.loads(text)
-    effects = {id: table for id, table in tables["effects"].items() if "expression" not in table}
-    plain = _in_cache(toml_document({**tables, "effects": effects}))
+) -> Subject:
+    """Return the subject of a diagnosis of the plain models, with a catalogue that adds nothing to them."""
     built = {n: replace(s.model, fmu=built_model(s.source)) for n, s in setups.items()}
-    fmus = exchanged(campaign)
-    built |= {n: replace(campaign.models[n], interface="model exchange") for n in fmus}
-    spec = replace(_spec(campaign), catalogue=plain)
-    campaign = replace(campaign, effects=spec, models={**campaign.models, **built})
-    subject = subject_of(campaign, load, runner=runner)
-    models: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **fmus}
-    return "\n".join(varying_lines(subject, campaign, models, tables["ports"]))
+    built |= {n: replace(campaign.models[n], interface="model exchange") for n in exchanged(campaign)}
+    spec = replace(_spec(campaign), catalogue=_in_cache(text))
+    return subject_of(replace(campaign, effects=spec, models={**campaign.models, **built}), load, runner=runner)
 
 
-def _at_states(
-    fmu: Fmu, simulated: CampaignModel, times: Sequence[FloatArray], simulator: Simulator
-) -> list[Place]:
-    """Return the places at the states of an FMU without source."""
-    wanted = [name for name in observed_states(fmu) if name in simulator.variables]
-    courses = [dict(zip(wanted, rows, strict=True)) for rows in simulated.trajectories({}, wanted)]
-    found, _ = state_places(fmu, times, courses)
+def _at_ports(flat: FlatModel, simulated: CampaignModel, values: Mapping[str, float]) -> list[Place]:
+    """Return the ports of a model with source, sized by its runs with some parameter values."""
+    ports, known = find_ports(flat), simulated.cases[0].simulator.variables
+    probes = [p for port in ports for group in port.probes.values() for p in group]
+    probes += [name for port in ports for name in names_at(port)]
+    return sized(ports, *_courses(simulated, values, [n for n in dict.fromkeys(probes) if n in known]))
+
+
+def _at_states(fmu: Fmu, simulated: CampaignModel, values: Mapping[str, float]) -> list[Place]:
+    """Return the places at the states of an FMU without source, sized by its runs with some parameter values."""
+    wanted = [name for name in observed_states(fmu) if name in simulated.cases[0].simulator.variables]
+    found, _ = state_places(fmu, *_courses(simulated, values, wanted))
     return [Place(p.port, p.sizes, p.names, state_of(p.port.name, fmu.states) or "") for p in found]
+
+
+def _courses(
+    simulated: CampaignModel, values: Mapping[str, float], wanted: Sequence[str]
+) -> tuple[list[FloatArray], list[dict[str, FloatArray]]]:
+    """Return times and courses of variables in each run, with some parameter values."""
+    found = simulated.trajectories(values, wanted)
+    return [c.time for c in simulated.cases], [dict(zip(wanted, rows, strict=True)) for rows in found]
 
 
 def _bounds(model: CampaignModel, spec: ParameterSpec) -> tuple[float, float] | None:

@@ -332,7 +332,7 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     sure = f" ({100 * probability(diagnosis):.0f} %)"
     are = "is" if len(effects) == 1 else "are"
     missing = f"{_listed(effects, 'and')} {are} missing" if effects else ""
-    likely = "most likely, " if verdict.get("provisional") else ""
+    likely = ("most likely, " if probability(diagnosis) > 0.5 else "possibly, ") * bool(verdict.get("provisional"))
     # Ids of generated catalogues already contain the port.
     at = f" at {', '.join(ports)}" if len(ports) == 1 and not any("@" in n for n in named(verdict)) else ""
     match verdict["kind"]:

@@ -23,7 +23,7 @@ from fmuid.core.formulas import parse, parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import toml_text
 from fmuid.data.filtering import first_order
-from fmuid.diagnosis.candidates import Fitted, fit_effects
+from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, project_off
 from fmuid.diagnosis.scores import nominal_basis, stack
@@ -161,7 +161,11 @@ class _Setup:
 
 
 def varying_lines(
-    subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], known: Mapping[str, object]
+    subject: Subject,
+    nominal: Fitted,
+    campaign: Campaign,
+    models: Mapping[str, FlatModel | Fmu],
+    known: Mapping[str, object],
 ) -> list[str]:
     """Return the entries of a catalogue for the coefficients that seem to vary; none if there is no gap.
 
@@ -169,13 +173,14 @@ def varying_lines(
     ----------
     subject
         The plain models with their measurements.
+    nominal
+        The plain models refitted.
     models
         The flat models of setups that have a source, and the FMUs of others that offer model exchange.
     known
         Names of the places that the catalogue already has.
     """
-    nominal = fit_effects(subject, (), [{}])
-    if nominal is None or nominal.gap <= GAP_THAT_MATTERS:
+    if nominal.gap <= GAP_THAT_MATTERS:
         return []
     chosen, among = scored(subject, campaign, models, nominal)
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
