@@ -1,7 +1,7 @@
 """Habits of style that this project avoids, found in pages, docstrings, messages and comments.
 
 `make lint` runs this file. Each pattern is a habit, with what to write instead. Code blocks and inline code
-of a page are skipped. `NOT_YET` lists the files that have not been revised; remove a file when it is clean.
+of a page are skipped.
 """
 
 from __future__ import annotations
@@ -15,12 +15,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = ("*.md", "docs/**/*.md", "src/**/*.py", "fmu_build/**/*.py", "benchmarks/**/*.py", "campaigns/**/*.py")
-NOT_YET: tuple[str, ...] = (
-    "benchmarks/rigs/__init__.py",
-    "benchmarks/rigs/compiled.py",
-    "benchmarks/rigs/gap.py",
-    "benchmarks/rigs/plant.py",
-)
 HABITS = {
     r"\breturns? (what|who|whether what)\b": "name the value: 'Return the residuals'",
     r"(^|\. )(?-i:Of) (a|an|all|both|several|the|these|those|two) \w+[^.]{0,40}, ": "put the subject first",
@@ -76,11 +70,7 @@ def faults(path: Path) -> list[str]:
 def files() -> list[Path]:
     """Return the files that are checked."""
     every = {path.resolve() for place in PLACES for path in ROOT.glob(place)}
-    return sorted(
-        path
-        for path in every
-        if path.relative_to(ROOT).as_posix() not in NOT_YET and path != Path(__file__).resolve()
-    )
+    return sorted(every - {Path(__file__).resolve()})
 
 
 def main() -> int:

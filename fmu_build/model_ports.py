@@ -151,38 +151,38 @@ def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
     sides = [(e.origin.component, (e.left, e.right)) for e in flat.equations]
     sides += [(flat.variables[n].component, (variable(n), binding)) for n, binding in flat.bindings()]
     inside = [(component, {flat_name(r) for r in references(parts)}) for component, parts in sides]
-    found = []
+    coefficients = []
     for v in held_parameters(flat):
         if v.at == ADDED:  # of an effect
             continue
         names = {v.name, *followers(flat, v.name)}
         if any(flat.variables[n].shape or n in flat.structural or flat.variables[n].evaluate for n in names):
             continue
-        own = [(component, used) for component, used in inside if used & names]
-        near = dict.fromkeys(n for _, used in own for n in sorted(used) if _is_continuous(flat, n))
+        uses = [(component, used) for component, used in inside if used & names]
+        near = dict.fromkeys(n for _, used in uses for n in sorted(used) if _is_continuous(flat, n))
         if near:
-            components = tuple(dict.fromkeys(component for component, _ in own))
-            found.append(Coefficient(v.name, v.unit or "1", components, tuple(near)))
+            components = tuple(dict.fromkeys(component for component, _ in uses))
+            coefficients.append(Coefficient(v.name, v.unit or "1", components, tuple(near)))
             apart = equations_with(flat, v.name)
-            for determined, i in apart.items() if len(apart) > 1 or len(own) > len(apart) else ():
+            for determined, i in apart.items() if len(apart) > 1 or len(uses) > len(apart) else ():
                 e = flat.equations[i]
                 near = dict.fromkeys(n for n in sorted(inside[i][1]) if _is_continuous(flat, n))
                 name = f"{v.name}:{determined}"
-                found.append(Coefficient(name, v.unit or "1", (e.origin.component,), tuple(near)))
-    return tuple(found)
+                coefficients.append(Coefficient(name, v.unit or "1", (e.origin.component,), tuple(near)))
+    return tuple(coefficients)
 
 
 def equations_with(flat: FlatModel, parameter: str) -> dict[str, int]:
     """Return the equations in which a parameter acts, by the variable that each determines."""
     names = {parameter, *followers(flat, parameter)}
-    found: dict[str, list[int]] = {}
+    places: dict[str, list[int]] = {}
     for i, e in enumerate(flat.equations):
         if e.origin.kind == "class" and names & {flat_name(r) for r in references((e.left, e.right))}:
             rates = [name for name in map(differentiated, walk((e.left, e.right))) if name is not None]
             sides = [flat_name(side) for side in (e.left, e.right) if isinstance(side, Reference)]
             for name in (*rates, *sides)[:1]:
-                found.setdefault(name, []).append(i)
-    return {name: numbers[0] for name, numbers in found.items() if len(numbers) == 1}
+                places.setdefault(name, []).append(i)
+    return {name: numbers[0] for name, numbers in places.items() if len(numbers) == 1}
 
 
 def places(flat: FlatModel) -> dict[str, str]:
@@ -206,10 +206,10 @@ def followers(flat: FlatModel, name: str) -> tuple[str, ...]:
     while wider:
         wider = {n for n, used in uses.items() if used & reached} - reached
         reached |= wider
-    found = [name]
-    while ready := [n for n in uses if n in reached and n not in found and uses[n] & reached <= {*found}]:
-        found += ready
-    return tuple(found[1:])
+    ordered = [name]
+    while ready := [n for n in uses if n in reached and n not in ordered and uses[n] & reached <= {*ordered}]:
+        ordered += ready
+    return tuple(ordered[1:])
 
 
 def fed_inputs(flat: FlatModel) -> Iterator[tuple[int, str, Reference]]:
@@ -257,7 +257,7 @@ class _Finder:
         self.classes = _Classes()
         self.derived: dict[str, str] = {}  # class of a variable -> a variable that is its derivative ("" if none)
         self.physical = {
-            c.path: found for c in flat.connectors.values() if (found := self._physics(c)) is not None
+            c.path: physics for c in flat.connectors.values() if (physics := self._physics(c)) is not None
         }
         fixed = self._join_equals()
         self._find_derivatives()
@@ -337,8 +337,8 @@ class _Finder:
         return None if domain is None else (domain, c.potentials[0], c.flows[0])
 
     def _unit(self, name: str) -> str | None:
-        found = self.flat.variables.get(name) or self.flat.variables.get(name.rpartition("[")[0])
-        return found.unit if found is not None else None
+        declared = self.flat.variables.get(name) or self.flat.variables.get(name.rpartition("[")[0])
+        return declared.unit if declared is not None else None
 
     def ports(self) -> tuple[Port, ...]:
         branches = list(self._branches())
@@ -353,16 +353,16 @@ class _Finder:
 
     def _rates(self, potential: str) -> dict[str, Expression]:
         """Return rate and acceleration of a potential, where the model computes them anyway."""
-        own = self.classes.find(potential)
-        if own not in self.derived:
+        level = self.classes.find(potential)
+        if level not in self.derived:
             return {}
-        speed = self.derived[own]
+        speed = self.derived[level]
         if not speed:
             return {"rate": Call(variable(potential).at, "der", (variable(potential),))}
-        found: dict[str, Expression] = {"rate": variable(speed)}
+        quantities: dict[str, Expression] = {"rate": variable(speed)}
         if self.classes.find(speed) in self.derived:
-            found["acceleration"] = Call(variable(speed).at, "der", (variable(speed),))
-        return found
+            quantities["acceleration"] = Call(variable(speed).at, "der", (variable(speed),))
+        return quantities
 
     def _nodes(self, branches: list[Port]) -> Iterator[Port]:
         groups: dict[str, list[str]] = {}
@@ -381,8 +381,8 @@ class _Finder:
     def _node(self, part: list[str], group: list[str], branches: list[Port]) -> Port:
         chosen = next((p for p in part if self._stores(p)), part[0])
         component = self.flat.connectors[chosen].component
-        own = [p for p in self.physical if self.flat.connectors[p].component == component]
-        name = component if component and set(own) <= set(part) else chosen
+        connectors = [p for p in self.physical if self.flat.connectors[p].component == component]
+        name = component if component and set(connectors) <= set(part) else chosen
         domain, potential, _ = self.physical[chosen]
         load, loops = self._load(group, branches)
         quantities = {"p": variable(potential), **self._rates(potential), **load}
@@ -446,18 +446,18 @@ class _Finder:
     def _stores(self, path: str) -> bool:
         """Return whether the component of a connector differentiates its potential itself, of a body twice."""
         component = self.flat.connectors[path].component
-        own = self._potential(path)
-        near = {own}
+        potential = self._potential(path)
+        near = {potential}
         if self.physical[path][0] in MECHANICAL:
-            near.add(self.classes.find(self.derived.get(own) or own))
+            near.add(self.classes.find(self.derived.get(potential) or potential))
         inside = [
             node
             for _, e in self.flat.equations_of(component)
             for node in walk((e.left, e.right))
             if isinstance(node, Call) and node.function == "der" and isinstance(node.arguments[0], Reference)
         ]
-        found = {self.classes.find(flat_name(n.arguments[0])) for n in inside}  # type: ignore[arg-type]
-        return bool(component) and near <= found
+        differentiated = {self.classes.find(flat_name(n.arguments[0])) for n in inside}  # type: ignore[arg-type]
+        return bool(component) and near <= differentiated
 
     def _branches(self) -> Iterator[Port]:
         of: dict[str, list[str]] = {}
@@ -487,8 +487,8 @@ class _Finder:
                 ]
                 if rates[0] is not None and rates[1] is not None:
                     quantities["rate"] = _difference(rates[1], rates[0])
-            if "rate" not in quantities and (own := self._relative_rate(component, a, b)) is not None:
-                quantities["rate"] = own
+            if "rate" not in quantities and (rate := self._relative_rate(component, a, b)) is not None:
+                quantities["rate"] = rate
             yield Port(
                 component, "branch", domain, (first, second), self._units(first), quantities,
                 {"p": (a, b), "flow": (flow, self.physical[second][2])}
@@ -502,8 +502,8 @@ class _Finder:
             )  # fmt: skip
 
     def _preferred(self, component: str) -> tuple[str, ...]:
-        own = (v for v in self.flat.variables.values() if v.component == component and v.type == "Real")
-        return tuple(v.name for v in own if v.state_select in ("prefer", "always"))
+        variables = (v for v in self.flat.variables.values() if v.component == component and v.type == "Real")
+        return tuple(v.name for v in variables if v.state_select in ("prefer", "always"))
 
     def _joints(self, branches: list[Port]) -> Iterator[Port]:
         """Yield the rigid connections with stores on both sides; a rigid branch includes those at its ends."""
@@ -538,11 +538,11 @@ class _Finder:
 
     def _sets(self) -> dict[int, list[str]]:
         """Return the physical connectors of each flow balance."""
-        found: dict[int, list[str]] = {}
+        paths: dict[int, list[str]] = {}
         for path, i in self.balances.items():
             if path in self.physical and self.flat.connectors[path].component:
-                found.setdefault(i, []).append(path)
-        return found
+                paths.setdefault(i, []).append(path)
+        return paths
 
     def _reaches_store(self, path: str, *, inward: bool = False) -> bool:
         """Return whether a store is rigidly connected to a connector: outside its component, or `inward`."""
@@ -558,8 +558,8 @@ class _Finder:
             elif self._stores(here):
                 return True
             elif self._binding.get(component) == 2:  # of three shafts, none is tied to another one alone
-                own = [p for p in self.physical if self.flat.connectors[p].component == component]
-                waiting += [(p, False) for p in own if p != here and p in self.balances]
+                connectors = [p for p in self.physical if self.flat.connectors[p].component == component]
+                waiting += [(p, False) for p in connectors if p != here and p in self.balances]
         return False
 
     def _relative_rate(self, component: str, a: str, b: str) -> Expression | None:
@@ -569,8 +569,8 @@ class _Finder:
                 continue
             sides = (right.left, right.right)
             names = tuple(flat_name(side) for side in sides if isinstance(side, Reference))
-            own = self.flat.variables.get(flat_name(left))
-            if own is None or own.component != component or self.classes.find(own.name) not in self.derived:
+            value = self.flat.variables.get(flat_name(left))
+            if value is None or value.component != component or self.classes.find(value.name) not in self.derived:
                 continue
             rate = Call(left.at, "der", (left,))
             if names == (b, a):
@@ -605,11 +605,11 @@ class _Finder:
 
     def _inside(self, component: str) -> list[Equation]:
         """Return the equations of a component, with those of its declarations."""
-        own = [e for _, e in self.flat.equations_of(component)]
-        return own + [
-            Equation(variable(v.name), v.binding, own[0].origin, v.at)
+        equations = [e for _, e in self.flat.equations_of(component)]
+        return equations + [
+            Equation(variable(v.name), v.binding, equations[0].origin, v.at)
             for v in self.flat.variables.values()
-            if own and v.component == component and v.binding is not None and v.variability == "continuous"
+            if equations and v.component == component and v.binding is not None and v.variability == "continuous"
         ]
 
     def _elastic(self, component: str, potentials: tuple[str, str]) -> bool:
@@ -640,7 +640,7 @@ class _Finder:
         speeds = {self.classes.find(self.derived[p]) for p in potentials if self.derived.get(p)}
         flows = {self.classes.find(v.name) for v in self.flat.variables.values() if v.flow}
         written = WrittenBalances(self.flat, self.classes.find, self.derived, potentials | speeds | flows)
-        has = {(self.flat.connectors[path].component, found[0]) for path, found in self.physical.items()}
+        has = {(self.flat.connectors[path].component, physics[0]) for path, physics in self.physical.items()}
         balances = [
             b for b in written.balances() if not any((b.component, domain) in has for domain in alike(b.domain))
         ]

@@ -151,21 +151,21 @@ class WrittenBalances:
         self._find = find
         self._derived = derived
         self._covered = covered
-        self._speeds = {find(speed): own for own, speed in derived.items() if speed}
+        self._speeds = {find(speed): level for level, speed in derived.items() if speed}
         self._explicit = self._definitions()
         self._equations = self._with_derivatives()
 
     def balances(self) -> tuple[Balance, ...]:
         """Return the balances in the order of the declarations of what they differentiate."""
         taken: set[int] = set()
-        found = []
+        balances = []
         for name in self._differentiated():
             for i, equation in self._candidates(name):
                 if i not in taken and (balance := self._balance(name, i, equation)) is not None:
                     taken.add(i)
-                    found.append(balance)
+                    balances.append(balance)
                     break
-        return tuple(found)
+        return tuple(balances)
 
     def couplings(self, balances: Sequence[Balance]) -> tuple[Coupling, ...]:
         """Return the differences of potentials, or of their rates, of two balances of one domain."""
@@ -176,7 +176,7 @@ class WrittenBalances:
             for what, rates in both
             if not b.loop and (name := getattr(b, what)) is not None
         }
-        found: dict[tuple[_End, _End], list[Difference]] = {}
+        together: dict[tuple[_End, _End], list[Difference]] = {}
         for node in self._written():
             if not (isinstance(node, Binary) and node.operator == "-"):
                 continue
@@ -186,24 +186,24 @@ class WrittenBalances:
             (second, rates), (first, same) = plus, minus
             alike = (first.balance.domain, first.balance.units) == (second.balance.domain, second.balance.units)
             if rates == same and alike and first.balance != second.balance:
-                negative = (second, first) in found
+                negative = (second, first) in together
                 key = (second, first) if negative else (first, second)
-                found.setdefault(key, []).append(Difference(node, rates, negative))
-        names = [f"{first.balance.name}.{second.balance.name}" for first, second in found]
+                together.setdefault(key, []).append(Difference(node, rates, negative))
+        names = [f"{first.balance.name}.{second.balance.name}" for first, second in together]
         return tuple(
             Coupling(name, first.balance, second.balance, (first.factor, second.factor), tuple(differences))
-            for i, (name, ((first, second), differences)) in enumerate(zip(names, found.items(), strict=True))
+            for i, (name, ((first, second), differences)) in enumerate(zip(names, together.items(), strict=True))
             if name not in names[:i]
         )
 
     def held(self, balance: Balance, couplings: Sequence[Coupling]) -> bool:
         """Return whether a spring to the ground seems to act: the balance has the position itself in a term."""
         between = [difference.node for coupling in couplings for difference in coupling.differences]
-        own = self._find(balance.potential) if balance.potential is not None else ""
+        potential = self._find(balance.potential) if balance.potential is not None else ""
         waiting, seen = [*balance.terms], set[str]()
-        while own and waiting:
+        while potential and waiting:
             for name in map(self._find, _names_of_term(waiting.pop())):
-                if name == own:
+                if name == potential:
                     return True
                 if name not in seen:
                     seen.add(name)
@@ -251,14 +251,14 @@ class WrittenBalances:
 
     def _definitions(self) -> dict[str, Expression]:
         """Return the explicit equals of a variable, by class."""
-        found: dict[str, Expression] = {}
+        definitions: dict[str, Expression] = {}
         for _, e in self._own():
             for one, other in ((e.left, e.right), (e.right, e.left)):
                 if isinstance(one, Reference) and not isinstance(other, Reference):
-                    found.setdefault(self._find(flat_name(one)), other)
+                    definitions.setdefault(self._find(flat_name(one)), other)
         for name, binding in self._flat.bindings():
-            found.setdefault(self._find(name), binding)
-        return found
+            definitions.setdefault(self._find(name), binding)
+        return definitions
 
     def _differentiated(self) -> list[str]:
         """Return the variables whose derivative is differentiated no further, in the order of declarations."""
@@ -272,7 +272,7 @@ class WrittenBalances:
 
     def _candidates(self, name: str) -> list[tuple[int, Equation]]:
         """Return equations that may be the balance of a variable; those that only define another one come last."""
-        found = []
+        candidates = []
         for i, e in self._equations.get(self._find(name), ()):
             sides = (e.left, e.right)
             plain = [isinstance(side, Reference) or differentiated(side) is not None for side in sides]
@@ -280,17 +280,17 @@ class WrittenBalances:
             if all(plain) or any(v is not None and v.flow for v in flows):
                 continue
             defines = any(isinstance(s, Reference) and not self._is_derivative(s, name) for s in sides)
-            found.append((defines, i, e))
-        return [(i, e) for _, i, e in sorted(found, key=lambda one: one[:2])]
+            candidates.append((defines, i, e))
+        return [(i, e) for _, i, e in sorted(candidates, key=lambda one: one[:2])]
 
     def _with_derivatives(self) -> dict[str, list[tuple[int, Equation]]]:
         """Return the equations that contain a derivative, by the class of what is differentiated."""
-        found: dict[str, list[tuple[int, Equation]]] = {}
+        equations: dict[str, list[tuple[int, Equation]]] = {}
         for i, e in self._own():
             inside = map(self._differentiated_by, walk((e.left, e.right)))
-            for own in dict.fromkeys(c for c in inside if c is not None):
-                found.setdefault(own, []).append((i, e))
-        return found
+            for component in dict.fromkeys(c for c in inside if c is not None):
+                equations.setdefault(component, []).append((i, e))
+        return equations
 
     def _differentiated_by(self, node: object) -> str | None:
         """Return the class that a call of ``der``, or a variable that equals one, differentiates."""
@@ -304,12 +304,12 @@ class WrittenBalances:
     def _balance(self, name: str, i: int, e: Equation) -> Balance | None:
         left = self._sign(e.left, name)
         sign = left or self._sign(e.right, name)
-        own, other = (e.left, e.right) if left else (e.right, e.left)
+        side, other = (e.left, e.right) if left else (e.right, e.left)
         # If the equation is solved for the derivative, the balance is the sum that is divided by an inertia.
-        divided = _divided(other) if self._is_derivative(own, name) else None
-        ways = [divided, (None, (own, other))] if divided is not None else [(None, (own, other))]
-        found = ((way, physics) for way in ways if (physics := self._physics(name, way[1])) is not None)
-        (factor, sums), physics = next(found, ((None, ()), None))
+        divided = _divided(other) if self._is_derivative(side, name) else None
+        ways = [divided, (None, (side, other))] if divided is not None else [(None, (side, other))]
+        readings = ((way, physics) for way in ways if (physics := self._physics(name, way[1])) is not None)
+        (factor, sums), physics = next(readings, ((None, ()), None))
         if not sign or physics is None:
             return None
         domain, potential, rate, units = physics
@@ -361,22 +361,22 @@ class WrittenBalances:
 
         Without units, what is differentiated twice counts as a position.
         """
-        own = self._flat.variables[name].unit
-        if own is None:
+        stated = self._flat.variables[name].unit
+        if stated is None:
             integral = self._integral(name)
             return None if integral is None else ("translational", integral, name, ("1", "1"))
-        flow = next((found for e in sums if (found := dimension(self._flat, e)) is not None), None)
+        flow = next((size for e in sums if (size := dimension(self._flat, e)) is not None), None)
         for unit, domain, potential, flows in _DOMAINS:
             fitting = [f for f in flows if flow is None or flow.exponents == _exponents(f)]
-            if not fitting or _exponents(own) != _exponents(unit):
+            if not fitting or _exponents(stated) != _exponents(unit):
                 continue
-            if "rad" in unit and "rad" not in own and "N.m" not in fitting:  # a frequency
+            if "rad" in unit and "rad" not in stated and "N.m" not in fitting:  # a frequency
                 continue
             if fitting == ["m/s"] and not self._has_area(sums):  # kinematics
                 continue
             if flow is None and unit in ("m", "rad"):  # of a level, of a position, or kinematics
                 continue
-            units = (potential or own, "" if flow is None else fitting[0])
+            units = (potential or stated, "" if flow is None else fitting[0])
             if potential:
                 return domain, self._integral(name), name, units
             return domain, name, self._derived.get(self._find(name)) or None, units
@@ -386,17 +386,17 @@ class WrittenBalances:
         """Return whether a balance depends on an area or a flow of volume, as that of a level does."""
         near, waiting = set[str](), [*sums]
         while waiting:
-            for own in map(self._find, map(flat_name, references((waiting.pop(),)))):
-                if own not in near:
-                    near.add(own)
-                    waiting += [self._explicit[own]] if own in self._explicit else []
+            for name_of in map(self._find, map(flat_name, references((waiting.pop(),)))):
+                if name_of not in near:
+                    near.add(name_of)
+                    waiting += [self._explicit[name_of]] if name_of in self._explicit else []
         units = {v.unit for v in self._flat.variables.values() if v.unit and self._find(v.name) in near}
         return not {_exponents(unit) for unit in units}.isdisjoint({_exponents("m2"), _exponents("m3/s")})
 
     def _integral(self, name: str) -> str | None:
         """Return the variable whose derivative a speed is."""
-        own = self._speeds.get(self._find(name))
-        return next((v.name for v in self._flat.variables.values() if self._find(v.name) == own), None)
+        state = self._speeds.get(self._find(name))
+        return next((v.name for v in self._flat.variables.values() if self._find(v.name) == state), None)
 
 
 def _divided(e: Expression) -> tuple[Expression | None, tuple[Expression, ...]] | None:
@@ -419,8 +419,8 @@ def _summands(e: Expression) -> list[Expression]:
 
 
 def _exponents(unit: str) -> tuple[Fraction, ...] | None:
-    found = dimension_of_unit(unit)
-    return None if found is None else found.exponents
+    dimension = dimension_of_unit(unit)
+    return None if dimension is None else dimension.exponents
 
 
 def _names_of_term(e: Expression) -> Iterator[str]:

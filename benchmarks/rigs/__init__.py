@@ -1,1 +1,1 @@
-"""Rigs that are no actuator: plain models, and plants in independent code that lack one of six effects each."""
+"""Rigs other than actuators: plain models, and plants in independent code that lack one of six effects each."""

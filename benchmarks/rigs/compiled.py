@@ -14,7 +14,7 @@ from benchmarks.rigs.plant import Floats, lagged
 from benchmarks.virtual_rig.library import compiled
 from fmuid.core.errors import SimulationError
 
-SHAPE = ".shape"  # beside the size of an effect
+SHAPE = ".shape"  # next to the size of an effect
 _PLANTS = ("BeltAxis", "ThermalBlock", "Circuit", "Tanks")
 _DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
 _PARTS = 8  # of a sample, in which a late sensor is followed

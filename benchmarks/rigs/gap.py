@@ -25,7 +25,7 @@ _FIRST = 1e-7
 
 
 class SizedPlant:
-    """A plant without effects, and the gap of any effect beside it.
+    """A plant without effects, and the gap of any effect in addition to it.
 
     The floor is the noise of a sample, given those before it: that of the rig's sensors, and with `inputs` also
     what the noise of measured inputs, a share of their ranges, passes on to the outputs. The last experiment is
@@ -98,14 +98,14 @@ class SizedPlant:
         return best
 
     def _beside(self, measured: Floats, moved: Floats) -> Floats:
-        """Return what a model with such parameters leaves of readings; a lot where it cannot be simulated."""
+        """Return the rest of readings that a model with such parameters leaves, a lot if it cannot simulate."""
         try:
             return measured - self._whitened(dict(zip(self._rig.parameters, moved.tolist(), strict=True)), {})
         except SimulationError:
             return np.full(len(measured), 1e6)
 
     def beside(self, effects: Mapping[str, float], other: Mapping[str, float]) -> float:
-        """Return the gap in floors of `effects` beside a model that has the `other` one of them, in any size.
+        """Return the gap in floors of `effects` to a model that has the `other` one of them, in any size.
 
         It is infinite where they cannot be simulated together, although each can.
         """
@@ -119,13 +119,13 @@ class SizedPlant:
     ) -> float:
         """Return by how many standard deviations an effect differs from another one.
 
-        The size of the other one, and the parameters beside it, are refitted to the readings with the effect, of
+        The size of the other one, and the parameters, are refitted to the readings with the effect, of
         which one sample in `every` is recorded.
         """
         return float(np.linalg.norm(self._nearest(effect, other, every)) * np.sqrt(recordings))
 
     def _nearest(self, effects: Mapping[str, float], other: Mapping[str, float], every: int = 1) -> Floats:
-        """Return what is left of readings by an effect whose size is refitted with the parameters."""
+        """Return the rest of readings that an effect leaves whose size is refitted with the parameters."""
         names = self._rig.parameters
         measured = self._readings({}, effects)
 

@@ -45,7 +45,7 @@ class Rig:
     Attributes
     ----------
     name, model
-        Of the rig, and its Modelica class; the file is called like the class.
+        Of the rig, and its Modelica class; the file is named after the class.
     inputs
         Experiment -> (N,) samples of the input, or (inputs, N).
     time

@@ -204,10 +204,10 @@ class _Parser:
     def place(self, number: int | None = None) -> Place:
         position = self.starts[self.i if number is None else number]
         line = bisect_right(self.newlines, position) + 1
-        found = self._places.get(line)
-        if found is None:
-            found = self._places[line] = Place(self.file, line)
-        return found
+        place = self._places.get(line)
+        if place is None:
+            place = self._places[line] = Place(self.file, line)
+        return place
 
     @property
     def token(self) -> str:
@@ -223,8 +223,8 @@ class _Parser:
         if self.tokens[self.i] != token:
             # a missing token is reported after the previous one
             at = self.place(max(self.i - 1, 0)) if token in (";", ")", "]", "}") else self.place()
-            found = f"'{self.token}'" if self.token else "the end of the file"
-            raise ModelicaError(f"'{token}' is expected here, not {found[:40]}", where=at)
+            instead = f"'{self.token}'" if self.token else "the end of the file"
+            raise ModelicaError(f"'{token}' is expected here, not {instead[:40]}", where=at)
         self.i += 1
 
     def fail(self, what: str | None = None) -> NoReturn:
@@ -252,10 +252,10 @@ class _Parser:
         classes = []
         while self.token:
             final = self.accept("final")
-            found = self.class_definition()
-            found.final = final
+            definition = self.class_definition()
+            definition.final = final
             self.expect(";")
-            classes.append(found)
+            classes.append(definition)
         return within, classes
 
     def dotted(self) -> str:
@@ -418,10 +418,10 @@ class _Parser:
                 self.annotation()
             out.elements.append(Extends(at, name, modification, protected))
         else:
-            for found in self.declaration(protected):
-                if isinstance(found, ClassDef):
-                    found.outside = out
-                out.elements.append(found)
+            for element in self.declaration(protected):
+                if isinstance(element, ClassDef):
+                    element.outside = out
+                out.elements.append(element)
         self.expect(";")
 
     def import_clause(self, out: ClassDef) -> None:
@@ -454,16 +454,16 @@ class _Parser:
             flags[flag] = self.accept(flag)
         token = self.token
         if token in _CLASS_START and not (token == "operator" and self.tokens[self.i + 1] == "."):
-            found = self.class_definition()
+            definition = self.class_definition()
             for flag, value in flags.items():
-                setattr(found, flag, value)
-            found.protected = protected
+                setattr(definition, flag, value)
+            definition.protected = protected
             if self.token == "constrainedby":
-                found.constraint = self.constraint()
+                definition.constraint = self.constraint()
                 description, source = self.comment()
-                found.description = found.description or description
-                found.annotation = found.annotation or source
-            return [found]
+                definition.description = definition.description or description
+                definition.annotation = definition.annotation or source
+            return [definition]
         return list(self.component_clause(flags, protected))
 
     def constraint(self) -> Constraint:
@@ -481,7 +481,7 @@ class _Parser:
             self.i += 1
         name = self.type_name()
         outer_subscripts = self.subscripts() if self.token == "[" else ()
-        own = frozenset(prefixes)
+        modifiers = frozenset(prefixes)
         parts = []
         while True:
             at = self.place()
@@ -501,7 +501,7 @@ class _Parser:
             self.comment()
         return [
             ComponentDef(
-                at, ident, name, own, subscripts, modification, condition, description, source,
+                at, ident, name, modifiers, subscripts, modification, condition, description, source,
                 flags["redeclare"], flags["final"], flags["inner"], flags["outer"], flags["replaceable"],
                 constraint, protected,
             )
@@ -558,15 +558,15 @@ class _Parser:
         flags = {"redeclare": redeclare, "final": final, "inner": False, "outer": False,
                  "replaceable": self.accept("replaceable")}  # fmt: skip
         if self.token in _CLASS_START:
-            found: ClassDef | ComponentDef = self.class_definition()
-            assert isinstance(found, ClassDef)
-            found.redeclare, found.replaceable, found.final = redeclare, flags["replaceable"], final
+            new: ClassDef | ComponentDef = self.class_definition()
+            assert isinstance(new, ClassDef)
+            new.redeclare, new.replaceable, new.final = redeclare, flags["replaceable"], final
             if self.token == "constrainedby":
-                found.constraint = self.constraint()
+                new.constraint = self.constraint()
                 self.comment()
         else:
-            (found,) = self.component_clause(flags, protected=False, single=True)
-        return Redeclaration(at, found, each, final)
+            (new,) = self.component_clause(flags, protected=False, single=True)
+        return Redeclaration(at, new, each, final)
 
     # ---- sections
 
@@ -604,13 +604,13 @@ class _Parser:
             else:
                 name = reference.name
             self.expect("(")
-            found = []
+            expressions = []
             while self.token != ")":
-                found.append(self.expression())
+                expressions.append(self.expression())
                 if not self.accept(","):
                     break
             self.expect(")")
-            arguments = tuple(found)
+            arguments = tuple(expressions)
         if self.token == "annotation":
             self.annotation()
         self.expect(";")
@@ -679,8 +679,8 @@ class _Parser:
         self.expect(word)
 
     def equation(self) -> Any:
-        found = self.structured(self.equation)
-        if found is None:
+        equation = self.structured(self.equation)
+        if equation is None:
             at = self.place()
             if self.token == "connect" and self.tokens[self.i + 1] == "(":
                 self.i += 2
@@ -688,17 +688,17 @@ class _Parser:
                 self.expect(",")
                 b = self.component_reference()
                 self.expect(")")
-                found = Connect(at, a, b)
+                equation = Connect(at, a, b)
             else:
                 left = self.simple_expression()
                 if self.accept("="):
-                    found = SourceEquation(at, left, self.expression())
+                    equation = SourceEquation(at, left, self.expression())
                 elif isinstance(left, Call):
-                    found = self.call(at, left)
+                    equation = self.call(at, left)
                 else:
                     self.fail("'=' is expected here" if self.token != ":=" else "':=' in an equation; write '='")
         self.comment()
-        return found
+        return equation
 
     def call(self, at: Place, call: Call) -> Any:
         """Make the statement for a call on its own."""
@@ -724,8 +724,8 @@ class _Parser:
         return AssignMany(at, (), call)
 
     def statement(self) -> Any:
-        found = self.structured(self.statement)
-        if found is None:
+        statement = self.structured(self.statement)
+        if statement is None:
             at = self.place()
             if self.token == "(":
                 self.i += 1
@@ -739,22 +739,22 @@ class _Parser:
                 value = self.expression()
                 if not isinstance(value, Call):
                     raise ModelicaError("a function call is expected here", where=at)
-                found = AssignMany(at, tuple(targets), value)
+                statement = AssignMany(at, tuple(targets), value)
             elif self.accept("return"):
-                found = Return(at)
+                statement = Return(at)
             elif self.accept("break"):
-                found = Break(at)
+                statement = Break(at)
             else:
                 value = self.primary()
                 if isinstance(value, Call):
-                    found = self.call(at, value)
+                    statement = self.call(at, value)
                 elif isinstance(value, Reference):
                     self.expect(":=")
-                    found = Assign(at, value, self.expression())
+                    statement = Assign(at, value, self.expression())
                 else:
                     raise ModelicaError("a statement is expected here", where=at)
         self.comment()
-        return found
+        return statement
 
     # ---- expressions
 
