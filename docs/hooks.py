@@ -30,17 +30,30 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Insert the catalogue of errors and the numbers set by hand into their pages."""
+    """Insert generated tables into their pages."""
     from benchmarks.chosen_numbers import table
 
     made = {"errors.md": ("<!-- errors.csv -->", _errors), "numbers.md": ("<!-- numbers -->", table)}
+    made["modelica.md"] = ("<!-- modelica_refused.csv -->", _refused)
     mark, content = made.get(page.file.src_uri, ("", str))
     return markdown.replace(mark, content()) if mark else markdown
 
 
+def _rows(name: str) -> list[dict[str, str]]:
+    with (Path(__file__).parent / name).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _refused() -> str:
+    lines = ["| what | example | message |", "|---|---|---|"]
+    for row in _rows("modelica_refused.csv"):
+        cells = (row["what"], f"`{row['example']}`", row["message"])
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines)
+
+
 def _errors() -> str:
-    with (Path(__file__).parent / "errors.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = _rows("errors.csv")
     lines: list[str] = []
     for group in dict.fromkeys(row["group"] for row in rows):
         lines += [f"## {group}", "", "| what is wrong | seen by | the line |", "|---|---|---|"]

@@ -8,6 +8,7 @@ file; other TOML has to parse. Of commands in a block without a language, which 
 
 from __future__ import annotations
 
+import csv
 import doctest
 import os
 import re
@@ -55,7 +56,6 @@ SLOW = {
 }  # identify, diagnose or build once more
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MAKE = f'make() {{ command make --dry-run --directory "{ROOT}" "$@" > /dev/null; }}\n'
-MODELICA_GUIDE = (ROOT / "docs" / "modelica.md").read_text()
 
 
 def in_turn(page: Path) -> object:
@@ -152,10 +152,8 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 
 
 def refusals() -> list[tuple[str, str]]:
-    rows = [line.split(" | ") for line in MODELICA_GUIDE.splitlines() if line.startswith("| ")]
-    return [
-        (row[1].strip("`"), row[2].removesuffix(" |")) for row in rows if len(row) == 3 and row[1].startswith("`")
-    ]
+    with (ROOT / "docs" / "modelica_refused.csv").open(newline="") as file:
+        return [(row["example"], row["message"]) for row in csv.DictReader(file)]
 
 
 @pytest.mark.parametrize(("example", "message"), refusals())
