@@ -37,6 +37,7 @@ $(READY): pyproject.toml setup.py constraints.txt $(STEPPER)
 	@touch $@
 $(DEVELOPER): $(READY)
 	$(PIP) --editable ".[dev]"
+	$(PIP) --no-deps gemseo-fmu # FMUs of OpenModelica, for tests
 	@touch $@
 
 fmus: $(FMUS)
