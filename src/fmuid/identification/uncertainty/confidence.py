@@ -164,15 +164,17 @@ def uncertainty_of(
     covariance, whiteness = scatter.covariance, scatter.whiteness
     if n > 1 and first.complete and not active.texts and scatter.degrees > 0.0:
         covariance = _widened(problem, evaluate, here, j, covariance)
-    noticed = _BIASED * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    biased: list[int] = np.flatnonzero(np.abs(recorded.bias) > noticed).tolist()
-    covariance = covariance + np.outer(recorded.bias, recorded.bias)
     spoken = covariance if scatter.degrees > 0.0 else None
     found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=spoken)
     found = found if first.complete else first
     own = scatter.degrees
     slope = problem.space.slope(best.x)
     degrees = np.array([scatter.robust[k].degrees[k] if k in scatter.robust else own for k in range(n)])
+    parts = np.column_stack([np.maximum(np.diag(covariance), 0.0), recorded.bias**2])
+    biased: list[int] = np.flatnonzero(parts[:, 1] > _BIASED**2 * parts[:, 0]).tolist()
+    if biased:
+        degrees = effective_degrees(parts, np.column_stack([degrees, np.full(n, np.inf)]))
+    covariance = covariance + np.outer(recorded.bias, recorded.bias)
     inherited, held_slopes = np.zeros((n, n)), np.zeros((n, 0))
     if held is not None:
         there, evaluate = replace(here, x=held.point(best.x)), evaluate_held or held.problem.evaluate_many

@@ -46,6 +46,6 @@ class Held:
 
 def effective_degrees(parts: FloatArray, degrees: FloatArray) -> FloatArray:
     """Return (n,) degrees of freedom of sums of (n, k) variances with (k,) each (Welch and Satterthwaite)."""
-    total, below = np.sum(parts, axis=1), np.sum(parts**2 / degrees, axis=1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        total, below = np.sum(parts, axis=1), np.sum(parts**2 / degrees, axis=1)
         return np.asarray(np.where(below > 0.0, total**2 / below, np.inf))
