@@ -184,6 +184,24 @@ def test_a_maps_blocks_share_the_width_that_there_is():
     assert spec["narrow"]["yaxis3"]["domain"][1] < spec["narrow"]["yaxis"]["domain"][0]
 
 
+def test_long_names_of_a_maps_rows_and_blocks_are_folded_and_not_cut():
+    name, block = (
+        "run_of_the_third_of_november_2 · temperature of the housing",
+        "temperature of the housing / degC",
+    )
+    map_ = samples.energy_map()
+    count = len(map_.columns) // 2
+    map_ = replace(map_, rows=(name,) * len(map_.rows), groups=((block, count), ("time / s", count)))
+    spec = specification(map_)
+    for layout in (spec["layout"], spec["layout"] | spec["narrow"]):
+        lines = layout["yaxis"]["ticktext"][0].split("<br>")
+        assert "".join(lines).replace(" ", "") == name.replace(" ", "")
+        assert 7 * max(map(len, lines)) <= layout["margin"]["l"]
+        heading = layout["annotations"][0]["text"].split("<br>")
+        assert " ".join(heading) == block
+        assert len(heading) > 2 or layout is spec["layout"]
+
+
 def test_missing_values_are_empty_in_csv():
     ((_, table),) = tables(samples.energy_map())
     assert any(line.split(",")[5] == "" for line in table.csv().splitlines())

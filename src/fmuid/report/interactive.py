@@ -12,6 +12,7 @@ from __future__ import annotations
 import base64
 import html
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,6 +37,7 @@ Spec = dict[str, Any]
 
 _DASHES = {"solid": "solid", "dash": "6px,3px", "dot": "2px,2px"}
 _MARKERS = {"circle": "circle", "square": "square", "diamond": "diamond", "triangle": "triangle-up"}
+_LINE, _LETTER = 17, 7  # px: height of a line and width of a letter in a figure
 _GRID = "#E6E6E6"
 _FONT = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "size": 12, "color": style.INK}
 _MOST_TICKS = 4.0  # from one end of a logarithmic axis of bars to the other
@@ -231,7 +233,7 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
     traces: list[Spec] = []
     layout: Spec = {"annotations": [], "coloraxis": _colours(figure, stops)}
     start = 0
-    for k, (name, width) in enumerate(blocks):
+    for k, (_, width) in enumerate(blocks):
         suffix = "" if k == 0 else str(k + 1)
         columns = [html.escape(c, quote=False) for c in figure.columns[start : start + width]]
         values = figure.values[:, start : start + width].tolist()
@@ -249,18 +251,15 @@ def _map(figure: MapFigure) -> tuple[list[Spec], Spec]:
             "ygap": 1,
             "hoverongaps": False,
         }
-        if figure.values.size <= 150:
+        if figure.values.size <= 150 and not figure.groups:  # otherwise cells are too narrow for numbers
             trace |= {"texttemplate": "%{z:.2f}", "textfont": {"size": 12}}
         traces.append(trace)
         bare = {"showgrid": False, "zeroline": False, "fixedrange": True}
         ticks = {"tickvals": list(range(width)), "ticktext": columns, "tickangle": -60, "tickfont": {"size": 12}}
         layout[f"xaxis{suffix}"] = ticks | bare | {"anchor": f"y{suffix}", "automargin": True}
         layout[f"yaxis{suffix}"] = bare | {"anchor": f"x{suffix}", "autorange": "reversed", "type": "category"}
-        if name:
-            note = _text(name, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12)
-            layout["annotations"].append(note | {"text": note["text"].replace("\n", "<br>"), "align": "left"})
-    wide = _map_places(figure, min(4, len(blocks)))
-    layout["narrow"] = _map_places(figure, min(2, len(blocks)))
+    wide = _map_places(figure, min(4, len(blocks)), 1000, 290)
+    layout["narrow"] = _map_places(figure, min(2, len(blocks)), 360, 130)
     layout["narrow"]["coloraxis"] = {"colorbar": None, "showscale": False}
     if not figure.groups:
         wide |= {"width": 260 + 44 * n_columns, "autosize": False}
@@ -283,21 +282,29 @@ def _colours(figure: MapFigure, stops: Sequence[tuple[float, str]]) -> Spec:
     }
 
 
-def _map_places(figure: MapFigure, columns: int) -> Spec:
-    """Return the positions of the blocks of a map in a grid of `columns`, and the height of the grid."""
+def _map_places(figure: MapFigure, columns: int, across: int, label: int) -> Spec:
+    """Return the positions of the blocks of a map in a grid of `columns`, with their labels, and its height.
+
+    The grid and the names of its rows are `across` pixels wide, of which these names get at most `label`.
+    """
     count = max(1, len(figure.groups))
     lines = -(-count // columns)
-    cells = 40 if not figure.groups else 24 if len(figure.rows) < 20 else 16
+    rows = [_folded(row, label) for row in figure.rows]
+    cells = 40 if not figure.groups else 24 if len(rows) < 20 else 16
+    cells = max(cells, _LINE * max(map(len, rows)) + 4)
     labels = 16 + round(4.8 * max(len(c) for c in figure.columns))
-    tall, between = cells * len(figure.rows), labels + 36
-    inner = lines * tall + (lines - 1) * between
-    left = 20 + 7 * max(len(r) for r in figure.rows)
-    places: Spec = {
-        "height": inner + 60 + labels,
-        "margin": {"l": left if columns > 2 else min(left, 150), "r": 10, "t": 60, "b": labels},
-    }
+    left = 20 + _LETTER * max(len(line) for row in rows for line in row)
     gap = 0.03
     width = (1 - gap * (columns - 1)) / columns
+    headings = [_folded(name, width * (across - left)) for name, _ in figure.headings]
+    above = _LINE * max(map(len, headings), default=0) + 6
+    tall, between = cells * len(rows), labels + above
+    inner = lines * tall + (lines - 1) * between
+    places: Spec = {
+        "height": inner + 30 + above + labels,
+        "margin": {"l": left, "r": 10, "t": 30 + above, "b": labels},
+        "annotations": [],
+    }
     for k in range(count):
         suffix = "" if k == 0 else str(k + 1)
         line, column = divmod(k, columns)
@@ -305,8 +312,18 @@ def _map_places(figure: MapFigure, columns: int) -> Spec:
         at = column * (width + gap)
         places[f"xaxis{suffix}"] = {"domain": [at, min(at + width, 1.0)]}
         low = max(top - tall / inner, 0.0)
-        places[f"yaxis{suffix}"] = {"domain": [low, top], "showticklabels": column == 0}
+        ticks = {"tickvals": list(range(len(rows))), "ticktext": ["<br>".join(row) for row in rows]}
+        places[f"yaxis{suffix}"] = {"domain": [low, top], "showticklabels": column == 0} | ticks
+        if figure.headings and (heading := headings[k]):
+            note = _text("", f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12)
+            places["annotations"].append(note | {"text": "<br>".join(heading), "align": "left"})
     return places
+
+
+def _folded(text: str, width: float) -> list[str]:
+    """Return a text in lines of about `width` pixels, for a figure."""
+    most = max(int(width / _LETTER), 8)
+    return [html.escape(line, quote=False) for part in text.split("\n") for line in textwrap.wrap(part, most)]
 
 
 def _decades(figure: BarFigure) -> int:
