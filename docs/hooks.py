@@ -12,7 +12,9 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-sys.path.append(str(Path(__file__).parents[1]))  # for `benchmarks`
+sys.path.append(str(Path(__file__).parents[1]))  # MkDocs removes it after this import
+from benchmarks.chosen_numbers import table
+
 _TOPICS = {
     "Campaigns and measurements": ("campaigns", "core.campaign", "core.experiments", "data"),
     "Simulation": ("simulation",),
@@ -31,8 +33,6 @@ def on_files(files: Files, config: Any) -> Files:
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
     """Insert generated tables into their pages."""
-    from benchmarks.chosen_numbers import table
-
     made = {"errors.md": ("<!-- errors.csv -->", _errors), "numbers.md": ("<!-- numbers -->", table)}
     made["modelica.md"] = ("<!-- modelica_refused.csv -->", _refused)
     mark, content = made.get(page.file.src_uri, ("", str))
