@@ -235,7 +235,7 @@ def test_a_choke_whose_iron_remembers_the_flux(tmp_path):
 
     for run in range(RUNS):
         v = (4.0 + 2.0 * run) * np.sin(time * (13.0 - 2.0 * run)) + 3.0 * np.sin(time * (31.0 + 5.0 * run) + run)
-        current, iron = integrated(step, v, (0.0, 0.0), rate, linear=True).T
+        current, iron = integrated(step, v, (0.0, 0.0), rate, fine=300, linear=True).T
         i = current + 0.3 * iron + 5e-3 * rng.standard_normal(400)
         runs.append(np.column_stack([time, v, i]))
     found = diagnosed(tmp_path, CHOKE, "time,v [V],i [A]", runs)

@@ -10,6 +10,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+import fmuid
 from benchmarks.discovery.case import cases, make_campaign
 from benchmarks.rigs.logs import Recording, drawn_factors, write_logs
 from benchmarks.rigs.plant import Extra
@@ -18,6 +19,7 @@ from fmu_build.instrument import State
 from fmuid.cli.app import run
 from fmuid.discovery.injected import of_second_order
 from fmuid.effects.effect import Effect
+from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
@@ -135,3 +137,28 @@ def test_of_second_order_a_lag_is_two_of_half_the_time_and_what_has_none_stays_a
 
 def _effect() -> Effect:
     return Effect("law@b", "a law", "b", (), {}, (), "nowhere")
+
+
+@pytest.mark.slow
+def test_a_loss_that_grows_from_run_to_run_is_a_law_of_time(tmp_path):
+    rng, paths = np.random.default_rng(1), []
+    for day in range(4):
+        time = STEP * np.arange(SAMPLES) + 6000.0 * day  # the clock of the campaign
+        power = 300.0 + 300.0 * np.repeat(rng.integers(0, 3, SAMPLES // 40), 40)
+        outdoors = 278.0 + 4.0 * np.sin(time / 1500.0 + day)
+        temperature, value = np.empty(SAMPLES), 293.0
+        for k in range(SAMPLES):
+            temperature[k] = value
+            for _ in range(10):
+                lost = 21.0 * (value - outdoors[k]) + 2e-3 * time[k]
+                value += STEP / 10 * (power[k] - lost) / 2e4
+        rows = np.column_stack([time, power, outdoors, temperature + 0.01 * rng.standard_normal(SAMPLES)])
+        paths.append(tmp_path / f"day_{day}.csv")
+        np.savetxt(paths[-1], rows, "%.6f", ",", header="time,P [W],T_out [K],T [K]", comments="")
+    (tmp_path / "Room.mo").write_text(ROOM)
+    found = fmuid.diagnose(fmuid.start(paths, model=tmp_path / "Room.mo", out=tmp_path / "room"), workers=0)
+    law = found.diagnosis.law_found
+    assert law is not None
+    assert law.port == "T.balance"
+    size, scale = law.formula.partition(" W * (time/")[::2]
+    assert float(size) / float(scale.rstrip(")")) == pytest.approx(2e-3, rel=0.05)

@@ -10,9 +10,10 @@ import pytest
 from fmu_build import load
 from fmu_build.model_ports import find_ports
 from fmuid.discovery import places
+from fmuid.discovery.injected import Law
 from fmuid.discovery.places import Spot
 from fmuid.discovery.selection import instead
-from fmuid.discovery.terms import Quantity, library
+from fmuid.discovery.terms import Quantity, library, names_in
 from tests.diagnosis.test_made_catalogue import RIGS
 
 TIME = np.linspace(0.0, 10.0, 2001)
@@ -65,5 +66,33 @@ def test_a_law_depends_only_on_what_every_run_has():
     for order in (slice(None), slice(None, None, -1)):
         model.cases = cases[order]
         found = places.spot("rotor", flat, model, {})
-        assert [set(c) for c in found.courses] == [{"p", "rate", "load", "tau"}] * 2
+        assert {*found.own} == {"p", "rate", "load", "tau"}
+        assert all(found.courses[0].keys() == c.keys() >= {*found.own, "time"} for c in found.courses)
+        assert "w_ref" not in found.courses[0]
         assert len(instead(found, [np.abs(c["rate"]) for c in found.courses])) > 1
+
+
+def test_a_law_may_depend_on_neighbours_outputs_columns_and_time():
+    flat = load(RIGS, "Rigs.TwoMass")
+    names = [n for p in find_ports(flat) for own in p.probes.values() for n in own]
+    wind = 5.0 + np.sin(3.0 * TIME)
+    courses = {n: np.sin((k + 1.3) * TIME) for k, n in enumerate(dict.fromkeys([*names, "w_load"]))}
+    case = SimpleNamespace(
+        time=TIME + 100.0,
+        lead=0,
+        task=SimpleNamespace(inputs={"tau": RATES[0]}),
+        simulator=SimpleNamespace(variables=dict.fromkeys([*courses, "tau"], SimpleNamespace(unit="1"))),
+        channels=(SimpleNamespace(variable="w_load", signal="w_load"),),
+        columns={"logged.wind": ("m/s", wind)},
+    )
+    model = SimpleNamespace(cases=(case,), trajectories=lambda _, wanted: [np.stack([courses[n] for n in wanted])])
+    found = places.spot("rotor", flat, model, {})
+    used = {name for term in found.terms for name in names_in(term.text) if "rate" in names_in(term.text)}
+    assert {"time", "logged.wind", "w_load"} < used
+    assert any(
+        "time" in t.text and "100" in t.text for t in found.terms
+    )  # since the first sample of the first run
+    wind_law = Law(found, tuple(t for t in found.terms if "logged.wind" in t.text)[:1], "rotor.law")
+    assert wind_law.effect("law@rotor", "").inputs == {"logged.wind": "m/s"}
+    squares = [t.text for t in found.terms if "^2*" in t.text or "*abs(" in t.text]
+    assert any("logged.wind" in text for text in squares)

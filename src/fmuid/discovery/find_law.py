@@ -388,7 +388,7 @@ def curve(law: Law, values: Mapping[str, float]) -> Curve:
     x, courses = law.terms[0].over, law.spot.courses
     grid = np.linspace(min(c[x.name].min() for c in courses), max(c[x.name].max() for c in courses), _POINTS)
     held = {n: float(np.sqrt(np.mean(np.concatenate([c[n] for c in courses]) ** 2))) for n in courses[0]}
-    columns = {n: np.full(_POINTS, v) for n, v in held.items()} | {x.name: grid, "time": np.zeros(_POINTS)}
+    columns = {n: np.full(_POINTS, v) for n, v in held.items()} | {"time": np.zeros(_POINTS), x.name: grid}
     flow = np.zeros(_POINTS)
     used: dict[str, float] = {}
     for k, (size, term) in enumerate(zip(law.sizes, law.terms, strict=True)):

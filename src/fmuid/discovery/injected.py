@@ -19,8 +19,9 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import built_with, left_out, model_exchange
 from fmuid.diagnosis.variants import with_laws as at_states
 from fmuid.discovery.places import Spot
-from fmuid.discovery.terms import HIDDEN, Term
+from fmuid.discovery.terms import HIDDEN, Term, names_in
 from fmuid.effects.effect import Catalogue, Effect, Unknown
+from fmuid.identification.problem.cases import LOGGED
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.segmented import in_place_of
 from fmuid.simulation.simulator import Simulator
@@ -124,6 +125,10 @@ class Law:
                 start = min(max((starts or {}).get(name, shape.value), shape.lower), shape.upper)
                 unknowns.append(Unknown(name, start, shape.lower, shape.upper, 10.0 * _STEP * shape.value))
                 units[name] = shape.unit
+        used = frozenset().union(
+            *(names_in(text) for term in self.terms for text in (term.text, term.rate) if text)
+        )
+        inputs = {q.name: q.unit for q in self.spot.quantities if q.name in used and q.name.startswith(LOGGED)}
         return Effect(
             id=id,
             description=description,
@@ -138,6 +143,7 @@ class Law:
             expression=self.expression,
             states=self.states,
             variant=True,
+            inputs=inputs,
         )
 
 

@@ -34,10 +34,9 @@ from fmuid.discovery.find_law import noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
 from fmuid.discovery.places import Spot, spot, spot_at_state
 from fmuid.discovery.selection import DRIVEN, Chosen
-from fmuid.discovery.terms import Quantity, Term, names_in, table
+from fmuid.discovery.terms import Quantity, Term, table
 from fmuid.effects.effect import Effect
 from fmuid.effects.quantities import quantity_words
-from fmuid.identification.problem.cases import LOGGED
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
@@ -203,8 +202,7 @@ class _Search:
         """Return a place with all quantities along the trajectories of a model."""
         if isinstance(self.inside, Fmu):
             return spot_at_state(name, self.inside, subject.model, values)
-        here = spot(name, self.inside, subject.model, values)
-        return None if here is None else replace(here, courses=here.around)
+        return spot(name, self.inside, subject.model, values)
 
     def _over_one(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
         """Yield tables over one variable, with more and more knots."""
@@ -379,10 +377,8 @@ def _effect(law: Law, id: str, description: str) -> Effect:
     """Return a table as an effect, whose values are small where nothing determines them."""
     effect = law.effect(id, description)
     unknowns = tuple(replace(u, sd=law.spot.flow) for u in effect.unknowns)
-    used = frozenset().union(*(names_in(term.text) for term in law.terms))
-    inputs = {q.name: q.unit for q in law.spot.quantities if q.name in used and q.name.startswith(LOGGED)}
     source = "learned from the measurements"
-    return replace(effect, law=id.partition("@")[0], unknowns=unknowns, source=source, inputs=inputs)
+    return replace(effect, law=id.partition("@")[0], unknowns=unknowns, source=source)
 
 
 def _names(effect: Effect) -> frozenset[str]:

@@ -17,6 +17,8 @@ from fmuid.discovery.terms import Kind, Quantity, Term, library
 from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.simulation.fmu import Fmu
 
+TIME = "time"
+_OTHERS = 6  # variables away from a place that its laws may use
 _MOVES = 1e-6  # relative to its size: a quantity that moves less counts as constant
 _SAME = 1e-4  # time series whose correlation is within this of 1 are the same
 _POSITION: Mapping[str, Kind] = {"rotational": "angle", "translational": "position"}
@@ -31,15 +33,15 @@ class Spot:
     flow
         The largest flow there.
     courses
-        (N,) samples by the name that a law uses, one mapping per experiment.
+        (N,) samples by the name that a law or table uses, one mapping per experiment.
     time
         (N,) times of these samples.
     terms
         Terms that a law there may contain.
     quantities
         What a table there may be over: quantities at the place, inputs, measured outputs and potentials elsewhere.
-    around
-        (N,) samples of all these, one mapping per experiment.
+    own
+        Names of the quantities at the place and of the inputs.
     """
 
     port: Port
@@ -48,7 +50,7 @@ class Spot:
     time: tuple[FloatArray, ...]
     terms: tuple[Term, ...]
     quantities: tuple[Quantity, ...] = ()
-    around: tuple[Mapping[str, FloatArray], ...] = ()
+    own: tuple[str, ...] = ()
 
 
 def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
@@ -70,7 +72,8 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
         courses.append(_local(port, load, course, case.time) | driven)
         columns = {n: u for n, (_, u) in case.columns.items()}
-        around.append(columns | courses[-1] | {n: course[n] for n in elsewhere if n in known - courses[-1].keys()})
+        others = {n: course[n] for n in elsewhere if n in known - courses[-1].keys()}
+        around.append({TIME: case.time} | columns | courses[-1] | others)
         flows += [float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course]
         flows.append(largest_flow(port, course, case.time))
     everywhere = set.intersection(*map(set, courses))  # setups may differ in their inputs
@@ -82,16 +85,40 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
     own = _quantities(port, courses)
     inputs = [q for n in free_inputs if (q := _quantity(n, n, units.get(n, "1"), courses)) is not None]
     time = tuple(case.time for case in model.cases)
-    terms = _distinct(library(own, inputs, time), courses, time)
-    here = [*(q.name for q in (*own, *inputs)), *around[0]]
-    shared = [n for n in dict.fromkeys(here) if all(n in one for one in around)]
+    here = [q.name for q in (*own, *inputs)]
+    shared = [n for n in dict.fromkeys((*here, *around[0])) if all(n in one for one in around)]
+    around = [{n: one[n] for n in shared} for one in around]
     potential, flow = port.units
     units |= {n: unit for n, (unit, _) in model.cases[0].columns.items()}
-    units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow}
-    quantities = [q for n in shared if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
-    return Spot(
-        port, max(flows), tuple(courses), time, tuple(terms), tuple(_apart(quantities, around)), tuple(around)
-    )
+    units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow, TIME: "s"}
+    every = [q for n in shared if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
+    quantities = _apart([q for q in every if q.name != TIME], around)
+    near = {
+        n for p in _neighbours(port, [*ports.values()]) for kind in ("p", "rate") for n in p.probes.get(kind, ())
+    }
+    near |= {TIME, *model.cases[0].columns, *(c.variable for case in model.cases for c in case.channels)}
+    away = [_from_start(q, around) for q in _apart(every, around) if q.name in near.difference(here)]
+    terms = _distinct(library(own, inputs, time, away[:_OTHERS]), around, time)
+    return Spot(port, max(flows), tuple(around), time, tuple(terms), tuple(quantities), tuple(here))
+
+
+def _neighbours(port: Port, ports: Sequence[Port]) -> list[Port]:
+    """Return the ports at components that are connected to a port; all of them where its equations are written."""
+
+    def components(one: Port) -> set[str]:
+        return {connector.rpartition(".")[0] for connector in one.connectors}
+
+    own = components(port)
+    return [p for p in ports if not own or not own.isdisjoint(components(p))]
+
+
+def _from_start(x: Quantity, courses: Sequence[Mapping[str, FloatArray]]) -> Quantity:
+    """Return a quantity that stays far from zero above its first value."""
+    first = float(courses[0][x.name][0])
+    if min(abs(x.low), abs(x.high)) < x.high - x.low or x.signed:
+        return x
+    text = f"({x.name} - {first:.6g})" if first >= 0.0 else f"({x.name} + {-first:.6g})"
+    return _quantity(text, x.name, x.unit, courses, above=first) or x
 
 
 def spot_at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
@@ -112,7 +139,7 @@ def spot_at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
     every = [_quantity(n, n, units.get(n, "1"), around) for n in dict.fromkeys(here)]
     quantities = tuple(_apart([q for q in every if q is not None], around))
-    return Spot(found.port, found.sizes["F"], around, time, (), quantities, around)
+    return Spot(found.port, found.sizes["F"], around, time, (), quantities)
 
 
 def _load_probe(port: Port, ports: Sequence[Port]) -> tuple[str, ...]:

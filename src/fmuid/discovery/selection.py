@@ -96,7 +96,7 @@ def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
         (N,) in every experiment.
     """
     target = np.concatenate(flow)
-    names = spot.courses[0]
+    names = spot.own or spot.courses[0]
     beside = np.stack(
         [np.ones(len(target)), *(np.concatenate([c[n] for c in spot.courses]) for n in names)], axis=1
     )

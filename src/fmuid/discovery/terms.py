@@ -147,17 +147,27 @@ def _lagged(rate: str, columns: Mapping[str, FloatArray], time: FloatArray) -> F
     return first_order(gain * driven, keep)
 
 
-def library(quantities: Sequence[Quantity], inputs: Sequence[Quantity], time: Sequence[FloatArray]) -> list[Term]:
-    """Return every term that a law at a place may have: of one quantity, of two, with a hidden state."""
+def library(
+    quantities: Sequence[Quantity],
+    inputs: Sequence[Quantity],
+    time: Sequence[FloatArray],
+    others: Sequence[Quantity] = (),
+) -> list[Term]:
+    """Return every term that a law at a place may have: of one quantity, of two, with a hidden state.
+
+    `others` are variables away from the place: neighbours' states, measured outputs, columns, time.
+    """
     found: list[Term] = []
     for x in quantities:
         found += _of_one(x) if x.kind != "flow" else ()  # a load only acts together with other quantities
-    for u in inputs:
+    for u in (*inputs, *others):
         found += _of_input(u)
     for x in (q for q in quantities if q.kind != "flow"):
         for y in (*quantities, *inputs):
             found += _of_two(x, y) if y != x else ()
             found += _with_state(x, y, time)
+        for y in others:
+            found += _of_two(x, y)
     return found
 
 
@@ -239,7 +249,8 @@ def _of_input(u: Quantity) -> Iterator[Term]:
 
 def _of_two(x: Quantity, y: Quantity) -> Iterator[Term]:
     """Yield products of functions of `x`, which may reverse with its sign, and functions of `y`."""
-    firsts = [direction_of(x), x.ratio, f"{x.ratio}*abs({x.ratio})"] if x.kind == "speed" else [x.ratio]
+    firsts = [x.ratio, f"{x.ratio}*abs({x.ratio})" if x.signed else f"{x.ratio}^2"]
+    firsts = [direction_of(x), *firsts] if x.kind == "speed" else firsts
     seconds = [f"abs({y.ratio})", f"{y.ratio}^2"]
     if y.kind != "flow":
         seconds.append(y.ratio)
