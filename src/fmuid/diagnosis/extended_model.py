@@ -14,7 +14,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import Expression
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns
-from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.observed import Observed, squares_finite
 from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case
 from fmuid.simulation.predictor import Predictor
@@ -278,15 +278,18 @@ class CampaignModel:
         self, wanted: Sequence[tuple[int, Mapping[str, float]]], observed: Observed
     ) -> list[FloatArray | None]:
         """Return the whitened residual of each wanted case, by its number, at some values; None where it fails."""
-        return [
+        outcomes = zip(wanted, self.predict_at(wanted), strict=True)
+        found = [
             None if isinstance(outcome, SimulationError) else observed.residual(k, outcome)
-            for (k, _), outcome in zip(wanted, self.predict_at(wanted), strict=True)
+            for (k, _), outcome in outcomes
         ]
+        return [part if part is not None and squares_finite([part]) else None for part in found]
 
     def residuals_at(self, values: Mapping[str, float], observed: Observed) -> tuple[FloatArray, ...] | None:
         """Return the whitened residuals of all cases at some values; None if one cannot be simulated."""
         (outcome,) = self.predict([values])
-        return None if isinstance(outcome, SimulationError) else observed.residuals(outcome)
+        parts = None if isinstance(outcome, SimulationError) else observed.residuals(outcome)
+        return parts if parts is not None and squares_finite(parts) else None
 
     def _simulate(
         self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]

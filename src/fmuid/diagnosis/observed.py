@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -236,3 +236,9 @@ def excesses(residuals: Sequence[FloatArray], observed: Observed) -> tuple[Float
     )
     energy = np.array([float(r[band] @ r[band]) for r, band in zip(residuals, observed.in_band, strict=True)])
     return energy / count - 1.0 / observed.repeats, count
+
+
+def squares_finite(parts: Iterable[FloatArray]) -> bool:
+    """Return whether squares of residuals are numbers: those of a model that grows without limit are not."""
+    with np.errstate(over="ignore"):
+        return all(bool(np.isfinite(part @ part)) for part in parts)

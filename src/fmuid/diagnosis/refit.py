@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.observed import Observed, squares_finite
 from fmuid.effects.effect import Unknown
 from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
@@ -221,9 +221,7 @@ def _search(
 
 def _with_squares(parts: tuple[FloatArray, ...]) -> tuple[FloatArray, ...] | SimulationError:
     """Return residuals, or the error that their squares are no numbers: a model may grow without limit."""
-    with np.errstate(over="ignore"):
-        finite = all(np.isfinite(p @ p) for p in parts)
-    return parts if finite else SimulationError("predictions grow beyond all numbers")
+    return parts if squares_finite(parts) else SimulationError("predictions grow beyond all numbers")
 
 
 def _all_simulated(outcomes: Iterable[tuple[FloatArray, ...] | SimulationError]) -> list[tuple[FloatArray, ...]]:
