@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -17,9 +18,12 @@ from fmuid.diagnosis.cross_validation import (
     in_sample,
     leave_each_out,
 )
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
 from fmuid.diagnosis.refit import Refit, refit
 from fmuid.effects.effect import Unknown
+from fmuid.identification.problem.cases import measured_case
+from fmuid.simulation.simulator import Simulator, Task, Variable
 
 TIME = np.linspace(0.0, 1.0, 501)
 
@@ -215,6 +219,28 @@ def test_runs_of_a_complete_model_lose_nothing_when_left_out():
     assert held.gap < 0.3
     for losses in held.per_run:
         assert np.abs(losses).max() < 0.8  # three times what 33 components scatter by
+
+
+class Constant(Simulator):
+    """A model whose output is its parameter."""
+
+    variables: ClassVar = {
+        "k": Variable("k", "parameter", "fixed", start=1.0),
+        "y": Variable("y", "output"),
+    }
+
+    def simulate(self, task, parameters):
+        return np.full((1, len(task.time)), {"k": 1.0, **parameters}["k"])
+
+
+def test_what_a_model_predicts_beyond_all_numbers_counts_as_a_failure():
+    case = measured_case("run", Constant(), Task(TIME, {}, ("y",)), {"y": 1.0 + 0.1 * np.sin(40.0 * TIME)})
+    model = CampaignModel((case,))
+    observed = SimpleNamespace(residual=lambda _, y: y.ravel(), residuals=lambda ys: tuple(y.ravel() for y in ys))
+    found, none = model.residuals_of([(0, {"k": 2.0}), (0, {"k": 1e200})], observed)
+    assert found == pytest.approx(2.0)
+    assert none is None
+    assert model.residuals_at({"k": 1e200}, observed) is None
 
 
 def lost(*loss):
