@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +22,16 @@ from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
+from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
-from fmuid.diagnosis.decide import tolerances
+from fmuid.diagnosis.cross_validation import closure
+from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS
-from fmuid.diagnosis.subject import Subject, carrier, subject_of
+from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.varying import course_of
 from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Rest, Verdict
@@ -77,6 +81,53 @@ def with_timing_of_log(campaign: Campaign, found: Found, runner: Runner) -> tupl
         for setup, c in setups.items()
     )
     return replace(campaign, models=models, timings=timings), note
+
+
+def with_starts_of_runs(
+    campaign: Campaign, found: Found, subject_with: Callable[[Campaign], Subject]
+) -> tuple[Campaign, str] | None:
+    """Return the campaign with start states that are estimated for each run, and a note.
+
+    None unless these explain a third of the gap, and more than the best explanation does; a firm verdict stays. A
+    log that begins in motion may start at the model's outputs and depart from them in what follows.
+    """
+    verdict, explained = found.diagnosis.verdict, found.corrected
+    firm = verdict.kind == "complete" or (verdict.kind == "effect" and not verdict.provisional)
+    stages = {
+        name: stage if stage.segments is not None or stage.observer else replace(stage, segments=math.inf)
+        for name, stage in campaign.stages.items()
+    }
+    if firm or not found.diagnosis.gap.present or found.subject.observed.nuisances or not stages:
+        return None
+    freed = replace(campaign, stages=stages)
+    subject = subject_with(freed)
+    observed = with_states(subject.observed, subject.model, found.nominal.fit.values)
+    if not observed.nuisances:
+        return None  # a model that cannot be restarted
+    fitted = fit_effects(replace(subject, observed=observed), (), [found.nominal.fit.values])
+    if fitted is None or fitted.gap > explained.gap or closure(found.nominal, fitted) < CLOSURE_THAT_FINISHES:
+        return None
+    note = (
+        f"The runs start elsewhere than the model: estimated start states of each run leave {fitted.gap:.3g} of"
+        f' {found.nominal.gap:.3g} noise floors, so they were used; write segments = "run" in the'
+        " stages of campaign.toml"
+    )
+    return freed, note
+
+
+def _looked_again(
+    campaign: Campaign,
+    found: Found,
+    looks: Sequence[Callable[[Campaign, Found], tuple[Campaign, str] | None]],
+    diagnosed: Callable[[Campaign], Found],
+) -> tuple[Campaign, Found]:
+    """Return the campaign that explains the runs better without an effect, if there is one, and its diagnosis."""
+    for look in looks:
+        if (changed := look(campaign, found)) is not None:
+            campaign, note = changed
+            found = diagnosed(campaign)
+            found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
+    return campaign, found
 
 
 def _may_be_timing(found: Found, cases: Sequence[Case]) -> bool:
@@ -210,12 +261,18 @@ def diagnose(
         rehearsal = _rehearsed(subject, rehearse, seed, say) if rehearse else []
         if rehearse:
             calibration.keep(key, calibration.fit_curves(rehearsal, "of this model, noise and set-up"))
-        found = diagnose_subject(subject, say=say, seed=seed, calibration=calibration.kept(key))
-        if (retimed := with_timing_of_log(campaign, found, runner)) is not None:
-            campaign, note = retimed
-            subject = _subject(campaign, runner, experiments, tolerance or {})
-            found = diagnose_subject(subject, seed=seed, calibration=calibration.kept(key))
-            found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
+        curves = calibration.kept(key)
+        found = diagnose_subject(subject, say=say, seed=seed, calibration=curves)
+
+        def subject_with(changed: Campaign) -> Subject:
+            return _subject(changed, runner, experiments, tolerance or {})
+
+        campaign, found = _looked_again(
+            campaign,
+            found,
+            (partial(with_timing_of_log, runner=runner), partial(with_starts_of_runs, subject_with=subject_with)),
+            lambda changed: diagnose_subject(subject_with(changed), seed=seed, calibration=curves),
+        )
         discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
         added: Candidate | Tabulated | None = None
         if discovery is not None:

@@ -213,3 +213,44 @@ def test_noise_beside_nuisances_is_expected_to_be_less_by_their_number():
     assert abs(np.mean(null.excess)) < 0.2 * np.std(null.excess)
     assert abs(excess(residuals, observed)) < 3.0 * np.std(null.excess)
     assert excess(residuals, plain) < -0.2
+
+
+ROOM = """
+model Room
+  parameter Real G(unit="W/K") = 20;
+  parameter Real C(unit="J/K") = 2e4;
+  input Real P(unit="W");
+  output Real T(unit="K");
+  Real wall(unit="K", start=293, fixed=true);
+  Real air(unit="K", start=293, fixed=true);
+equation
+  T = air;
+  C*der(wall) = G*(air - wall) - 0.3*G*(wall - 293);
+  0.2*C*der(air) = P - G*(air - wall);
+end Room;
+"""
+
+
+@pytest.mark.parametrize("warm", [6.0, 0.0])
+def test_walls_that_were_warm_before_the_log_began_are_no_effect(tmp_path, monkeypatch, warm):
+    """The air starts as in the model; only what follows shows where the wall started."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "Room.mo").write_text(ROOM)
+    rng, time, files = np.random.default_rng(2), 20.0 * np.arange(200), []
+    for day in range(3):
+        power = 300.0 * (np.sin((1 + day) * 2e-3 * time) > 0.0)
+        wall, air, seen = 293.0 + warm * (1 + day), 293.0, []
+        for p in power:
+            seen.append(air)
+            for _ in range(20):
+                flow = 24.0 * (air - wall)
+                wall, air = wall + (flow - 7.2 * (wall - 293.0)) / 2e4, air + (p - flow) / 4e3
+        for k in range(2):
+            rows = np.column_stack([time, power, seen + 0.02 * rng.standard_normal(time.size)])
+            files.append(tmp_path / f"day{day}_{k}.csv")
+            np.savetxt(files[-1], rows, "%.5f", ",", header="time,P [W],T [K]", comments="")
+    campaign = fmuid.start(files, tmp_path / "Room.mo", out=tmp_path / "room", say=lambda _: None)
+    found = fmuid.diagnose(campaign, law=False).diagnosis
+    assert found.verdict.kind == "complete"
+    assert any("start elsewhere than the model" in note for note in found.notes) is bool(warm)
+    assert found.model["G"] == pytest.approx(24.0, rel=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -370,6 +371,8 @@ class _Document:
             for criterion in table.get("criteria", []):
                 if "sensor" in criterion.get("options", {}):
                     sensors[criterion["signal"]] = criterion["options"]["sensor"]
+        if any(spec.segments == math.inf for spec in self.campaign.stages.values()):
+            stage["segments"] = "run"
         if sensors:
             names = dict.fromkeys(c.signal for case in self.subject.model.cases for c in case.channels)
             stage["criteria"] = [

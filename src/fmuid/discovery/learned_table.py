@@ -97,7 +97,8 @@ def tabulate(
     seed
         Seed of the null distribution.
     """
-    verdict, subject = found.diagnosis.verdict, found.subject
+    verdict, subject, before = found.diagnosis.verdict, found.subject, found.diagnosis.best
+    least = 0.0 if before is None else before.closure.validated
     named = () if found.best is None else (found.best,)
     finished = verdict.kind == "complete" or (bool(found.surviving) and verdict.rest is None)
     if finished or not found.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
@@ -118,7 +119,9 @@ def tabulate(
             table = search()
         except UserError:  # a model that cannot be built or simulated yields no table
             continue
-        if table is not None and all(_better(b, table.fitted) for b in named):
+        if table is None or table.best.closure.validated <= least:
+            continue
+        if all(_better(b, table.fitted) for b in named):
             tables.append(table)
             if closure(found.nominal.held_out, table.fitted.held_out) >= decide.CLOSURE_BEYOND_DOUBT:
                 break
