@@ -82,6 +82,15 @@ def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):
     assert "segments" not in (tmp_path / "room" / "campaign.toml").read_text()
 
 
+def test_a_start_that_fades_soon_is_not_estimated(tmp_path):
+    """The model's wall forgets its start after about 30 s of 4000 s."""
+    paths = logs(tmp_path, 4.0, repeats=1)
+    file = tmp_path / "Room.mo"
+    file.write_text(file.read_text().replace('C(unit="J/K") = 2e4', 'C(unit="J/K") = 2e2'))
+    fmuid.start(paths, model=file, out=tmp_path / "room")
+    assert "segments" not in (tmp_path / "room" / "campaign.toml").read_text()
+
+
 def test_a_model_that_calculates_its_start_says_so(tmp_path, capsys):
     paths = logs(tmp_path, 4.0, repeats=1)
     file = tmp_path / "Given.mo"

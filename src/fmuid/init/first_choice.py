@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmuid.core.errors import FmuidError, ProblemError
+from fmuid.core.errors import FmuidError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.resolution import quantum
@@ -34,6 +35,8 @@ _LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do n
 _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
 _DEPENDS = 0.05  # relative change of an estimate with a fixed value
+_FADED = 0.05  # of the largest response to a state at the start
+_BRIEFLY = 0.2  # of a run: estimates hardly depend on a start that fades sooner
 _ELSEWHERE = 10.0  # standard deviations of noise between the first samples of a run and of the model
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 
@@ -229,8 +232,23 @@ def restarts(
         states_of(model)
     except ProblemError as error:
         return None, (f"the model cannot start as the runs do: {elsewhere}, but {error.what}",)
+    if not start_lasts(model, runs[0], mapping):
+        return None, ()
     found = Restarts(math.inf, "run", elsewhere)
     return found, (str(found),)
+
+
+def start_lasts(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -> bool:
+    """Return whether the states at the start move the outputs for a good part of a run.
+
+    If not, estimating them takes several simulations for one, and hardly changes what the run says.
+    """
+    with suppress(SimulationError):
+        moved = np.abs(in_segments(model, run, mapping, math.inf).state_tangents({}))
+        largest = moved.max(axis=2, keepdims=True)
+        lasting = (moved > _FADED * largest).mean(axis=2)
+        return bool((lasting > _BRIEFLY).any())
+    return True
 
 
 def starts_elsewhere(
