@@ -513,20 +513,24 @@ def test_the_odds_of_slow_noise_fall_with_the_gain_on_left_out_runs():
 @pytest.mark.parametrize(
     ("scatter", "strained", "best"),
     [
-        (0.1, (), ("a", "b")),  # better in every run
+        (0.1, (), ("b", "c")),  # better in every run
         (4.0, (), ("a",)),  # no more than runs scatter
-        (0.1, ("b",), ("a",)),  # at an implausible bound
+        (0.1, ("b",), ("b", "c")),  # better in every run, although at an implausible bound
+        (4.0, ("a",), ("b", "c")),
     ],
 )
-def test_the_best_explanation_is_simple_and_plausible(monkeypatch, scatter, strained, best):
+def test_the_best_explanation_is_plausible_and_simple(monkeypatch, scatter, strained, best):
     """Two effects predict left-out runs better than one does, by 2 +- 0.1 or 2 +- 4."""
     one = replace(fitted(("a",), 2.0, parameters=1), held_out=lost(4.0, 4.0, 4.0))
+    poor = replace(fitted(("d",), 2.9, parameters=1), held_out=lost(0.0, 24.0, 0.9))  # in one run only
     two = replace(
-        fitted(("a", "b"), 1.0, parameters=2), held_out=lost(2.0 - scatter, 2.0 + 2.0 * scatter, 2.0 - scatter)
+        fitted(("b", "c"), 1.0, parameters=2), held_out=lost(2.0 - scatter, 2.0 + 2.0 * scatter, 2.0 - scatter)
     )
     monkeypatch.setattr(decide, "strained", lambda fit, _: any(n in strained for n in fit.effects))
     monkeypatch.setattr(decide, "closes_something", lambda *_: True)
-    found = SimpleNamespace(evidence=SimpleNamespace(present=True), candidates=[one, two], nominal=fitted((), 3.0))
+    found = SimpleNamespace(
+        evidence=SimpleNamespace(present=True), candidates=[one, two, poor], nominal=fitted((), 3.0)
+    )
 
     class Closing:
         subject = SimpleNamespace(effects=())

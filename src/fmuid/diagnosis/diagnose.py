@@ -462,21 +462,22 @@ def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], 
 
 
 def _explaining(found: _Searched, closing: Closing) -> Fitted | None:
-    """Return the simplest plausible model that predicts left-out data as well as any; None if nothing is closed.
+    """Return the best explanation: a plausible and simple model that predicts left-out data as well as any.
 
-    As well is within one standard error of the one that closes most (Breiman et al. 1984). Models with effects at
-    implausible bounds imitate something else, so they count only where no other closes anything.
+    As well is within one standard error of the one that closes most (Breiman et al. 1984), with a gap that is
+    hardly larger. None if nothing is closed. Models with effects at implausible bounds may imitate something else.
     """
     if not found.evidence.present:
         return None
     explaining = [
         c for c in found.candidates if c.effects and decide.closes_something(found.nominal, c, closing(c))
     ]
-    plausible = [c for c in explaining if not decide.strained(c, closing.subject.effects)]
-    ranked = sorted(plausible or explaining, key=lambda c: -closing(c).validated)
+    ranked = sorted(explaining, key=lambda c: -closing(c).validated)
     gains = ((c, *advantage(ranked[0].held_out, c.held_out, elsewhere=True)) for c in ranked)
-    as_well = [c for c, gained, error in gains if gained <= error]
-    return min(as_well, key=lambda c: len(c.fit.unknowns), default=None)
+    least = decide.ABOUT_AS_WELL * (1.0 - closing(ranked[0]).validated) if ranked else 0.0
+    as_well = [c for c, gained, error in gains if gained <= error and 1.0 - closing(c).validated <= least]
+    effects = closing.subject.effects
+    return min(as_well, key=lambda c: (decide.strained(c, effects), len(c.fit.unknowns)), default=None)
 
 
 def _prediction(subject: Subject, values: Mapping[str, float]) -> Prediction:
