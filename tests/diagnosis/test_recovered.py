@@ -179,7 +179,7 @@ def diagnosed(folder, source, header, runs):
     fmuid.start(paths, model=model, out=folder / "campaign")
     text = (folder / "campaign" / "campaign.toml").read_text()  # a wrong model may explain the other timing better
     (folder / "campaign" / "campaign.toml").write_text(re.sub(r'timing = "[a-z-]*"', 'timing = "held"', text))
-    return fmuid.diagnose(folder / "campaign", workers=0)
+    return fmuid.diagnose(folder / "campaign", workers=0, law=False)
 
 
 def integrated(step, inputs, start, rate, *, fine=20):
@@ -211,6 +211,7 @@ def test_a_valve_that_opens_only_beyond_a_pressure(tmp_path):
     assert found.corrected.fit.values["valve.threshold"] == pytest.approx(0.08, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_cell_whose_voltage_at_rest_depends_on_the_current_before(tmp_path):
     rng, step, runs = np.random.default_rng(3), 5.0, []
     time = step * np.arange(300)

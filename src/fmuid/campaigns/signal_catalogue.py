@@ -52,6 +52,7 @@ _WORDS = {
 _HARD = 100.0  # a practically abrupt limit
 _ONE_SIGN = 0.05  # of its range: a signal that goes no further below zero never changes its sign
 _UNUSUAL = ("crosstalk", "play", "rate_limit")
+_REMOVE_NOISE = ("play", "rate_limit")  # a log of a measured input has noise that the plant did not get
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")
 
 
@@ -67,7 +68,8 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
     """Return the text of a catalogue with effects for every signal that is not always zero.
 
     Trials are 2 and 10 % of scale, 1 and 5 % of the range, and one to twenty-five sample times. Only a sensor that
-    never reads less than zero may have lost the sign.
+    never reads less than zero may have lost the sign. Inputs that are measured, with noise, have no play and no
+    limited rate, which would remove that noise.
 
     Raises
     ------
@@ -77,6 +79,7 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
     runs = [run for setup in setups for run in setup.runs]
     step = min(float(np.median(np.diff(run.time))) for run in runs)
     duration = max(float(run.time[-1] - run.time[0]) for run in runs)
+    noisy = any(r.repeat_of_reference or any(s.sigma for s in r.inputs.values()) for r in runs)
     recorded = [_signals(*setup) for setup in setups]
     signals: dict[str, _Signal] = {}
     for name, s in (item for own in recorded for item in own.items()):
@@ -107,8 +110,9 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
             and any({o.name, s.name} <= own.keys() for own in recorded)
         ]
         for (kind, law), (description, source) in _WORDS.items():
-            sizes = _sizes(law, s, others, step, duration)
-            if kind == s.causality and sizes:
+            if kind != s.causality or (kind == "input" and noisy and law in _REMOVE_NOISE):
+                continue
+            if sizes := _sizes(law, s, others, step, duration):
                 effects += _effect(s.name, law, description.format(s.name), source, sizes)
     note = ["# ---- regimes: variables of the model along which a gap is examined, in addition to time ----", ""]
     return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
