@@ -255,12 +255,14 @@ def closed_by(nominal: Fitted, best: Fitted) -> float:
     return max(closure(worse, better) for worse, better in _losses(nominal, best))
 
 
-def validated(nominal: Fitted, best: Fitted) -> float:
+def validated(nominal: Fitted, best: Fitted, *, excused: bool = False) -> float:
     """Return the closure on held-out experiments, no more than that where the models are fitted.
 
-    Beyond that, the nominal model is merely predicted badly.
+    Beyond that, the nominal model is merely predicted badly. If `excused`, errors of parameters are no evidence
+    against a model (see `closed_by`).
     """
-    return min(closed_by(nominal, best), closure(nominal, best))
+    held_out = closed_by(nominal, best) if excused else closure(nominal.held_out, best.held_out)
+    return min(held_out, closure(nominal, best))
 
 
 def names(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool = False) -> bool:
@@ -272,7 +274,7 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool = Fals
     """
     closed = closed_by(nominal, best)
     likely = closed * len(best.effects) >= _doubt(closed)
-    enough = validated(nominal, best) if bounded else closed
+    enough = validated(nominal, best, excused=True) if bounded else closed
     return enough >= CLOSURE_THAT_NAMES or (
         likely and finished and closure(nominal, best) >= CLOSURE_THAT_FINISHES
     )
@@ -284,9 +286,7 @@ def beyond_doubt(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool
     They have to close most of it on held-out experiments, which the nominal model may predict worse than it fits
     them, and also where both are fitted; unless the noise is only `bounded`, since what is left may be noise then.
     """
-    closed = closure(nominal.held_out, best.held_out)
-    if not bounded:
-        closed = min(closed, closure(nominal, best))
+    closed = closure(nominal.held_out, best.held_out) if bounded else validated(nominal, best)
     return closed >= CLOSURE_BEYOND_DOUBT or (finished and names(nominal, best, finished=True, bounded=bounded))
 
 
@@ -345,8 +345,11 @@ def weigh(
     be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open, and `NONE` what
     the prediction of left-out data leaves (`by_chance`).
     """
-    closing = validated if provisional else closed_by
-    closed = float(np.clip(closing(nominal, surviving[0]), 0.0, 1.0)) if surviving else 0.0
+    closed = 0.0
+    if surviving:
+        best = surviving[0]
+        share = validated(nominal, best, excused=True) if provisional else closed_by(nominal, best)
+        closed = float(np.clip(share, 0.0, 1.0))
     match kind:
         case "complete":
             none, unknown, named = 1.0, _NEVER, _HIDDEN * max(0.0, nominal.gap / GAP_THAT_MATTERS) ** 2
@@ -359,8 +362,7 @@ def weigh(
             doubt = 1.0 - closed if provisional else _doubt(closed)
             none, unknown, named = _NEVER, max(_DOUBT, doubt), max(_NEVER, closed)
             if provisional and surviving:
-                among = max(1, sum(bool(r.effects) for r in rivals))
-                none = max(_NEVER, by_chance(nominal, surviving[0], among))
+                none = max(_NEVER, by_chance(nominal, surviving[0], max(1, len(rivals))))
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
     odds = [log_odds(s, surviving[0], observed) for s in surviving]  # the first one need not be the likeliest

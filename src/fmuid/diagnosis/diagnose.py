@@ -358,13 +358,8 @@ def _beside_errors(subject: Subject, found: _Searched, say: Say, *, seed: int) -
         return subject, found
     again = replace(subject, observed=with_states(observed, subject.model, found.nominal.fit.values))
     again, second = _search_settled(again, refitted(again, found.nominal), say, seed=seed)
-    closed = [0.0 if one.best is None else _validated(one.nominal, one.best) for one in (found, second)]
+    closed = [0.0 if one.best is None else decide.validated(one.nominal, one.best) for one in (found, second)]
     return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, found)
-
-
-def _validated(nominal: Fitted, fitted: Fitted) -> float:
-    """Return the closure on held-out experiments, no more than that where the models are fitted."""
-    return min(closure(nominal.held_out, fitted.held_out), closure(nominal, fitted))
 
 
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
@@ -462,10 +457,11 @@ def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], 
 
 
 def _explaining(found: _Searched, closing: Closing) -> Fitted | None:
-    """Return the best explanation: a plausible and simple model that predicts left-out data as well as any.
+    """Return the best explanation; None if no model closes a part of the gap.
 
-    As well is within one standard error of the one that closes most (Breiman et al. 1984), with a gap that is
-    hardly larger. None if nothing is closed. Models with effects at implausible bounds may imitate something else.
+    Of the models that predict left-out data as well as the best one, the plausible ones come first, then those
+    with the fewest parameters. A model counts as equally good if its loss is within one standard error of the
+    least (Breiman et al. 1984) and its gap is hardly larger. Effects at implausible bounds may imitate others.
     """
     if not found.evidence.present:
         return None
