@@ -22,15 +22,15 @@ from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
-from fmuid.diagnosis.candidates import fit_effects
+from fmuid.diagnosis.candidates import refit_only
 from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
-from fmuid.diagnosis.cross_validation import closure
+from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.varying import course_of
@@ -104,11 +104,12 @@ def with_starts_of_runs(
     observed = with_states(subject.observed, subject.model, found.nominal.fit.values)
     if not observed.nuisances:
         return None  # a model that cannot be restarted
-    fitted = fit_effects(replace(subject, observed=observed), (), [found.nominal.fit.values])
-    if fitted is None or fitted.gap > explained.gap or closure(found.nominal, fitted) < CLOSURE_THAT_FINISHES:
+    fit = refit_only(replace(subject, observed=observed), (), [found.nominal.fit.values])
+    left = math.inf if fit is None else gap(fit.residuals, observed)
+    if left > explained.gap or share_closed(found.nominal.gap, left) < CLOSURE_THAT_FINISHES:
         return None
     note = (
-        f"The runs start elsewhere than the model: estimated start states of each run leave {fitted.gap:.3g} of"
+        f"The runs start elsewhere than the model: estimated start states of each run leave {left:.3g} of"
         f' {found.nominal.gap:.3g} noise floors, so they were used; write segments = "run" in the'
         " stages of campaign.toml"
     )

@@ -207,19 +207,8 @@ def fit_effects(
     chords: int = CHORDS,
 ) -> Fitted | None:
     """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
-    unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
-    neutral = {name: value for e in effects for name, value in e.neutral.items()}
-    try:
-        fit = refit(
-            subject.model.predict,
-            subject.observed,
-            unknowns,
-            starts=[{**neutral, **start} for start in starts],
-            tangents=subject.model.tangents,
-            max_iterations=iterations,
-            tolerance=tolerance,
-        )
-    except SimulationError:
+    fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance)
+    if fit is None:
         return None
     observed, model = subject.observed, subject.model
     left_out = predicted_left_out(fit, observed, model, chords)
@@ -232,6 +221,30 @@ def fit_effects(
         left_out.values,
         -sum(float(np.log(e.among)) for e in effects),
     )
+
+
+def refit_only(
+    subject: Subject,
+    effects: Sequence[Effect],
+    starts: Sequence[Mapping[str, float]],
+    *,
+    iterations: int = 12,
+    tolerance: float = 1e-3,
+) -> Refit | None:
+    """Refit as `fit_effects` does, without predictions of left-out experiments."""
+    unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
+    neutral = {name: value for e in effects for name, value in e.neutral.items()}
+    with suppress(SimulationError):
+        return refit(
+            subject.model.predict,
+            subject.observed,
+            unknowns,
+            starts=[{**neutral, **start} for start in starts],
+            tangents=subject.model.tangents,
+            max_iterations=iterations,
+            tolerance=tolerance,
+        )
+    return None
 
 
 def refitted(subject: Subject, fitted: Fitted, *, iterations: int = 12, tolerance: float = 1e-3) -> Fitted:

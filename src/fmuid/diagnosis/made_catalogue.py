@@ -20,7 +20,7 @@ from fmuid.core.experiments import Experiment
 from fmuid.core.files import remove_unused, user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import read_toml, toml_document, toml_text
-from fmuid.diagnosis.candidates import fit_effects
+from fmuid.diagnosis.candidates import refit_only
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.subject import Subject, subject_of
 from fmuid.diagnosis.variants import (
@@ -378,8 +378,8 @@ def made_catalogue(
     if not setups and not states:
         return plain
     subject = _plain_subject(campaign, plain, setups, load, runner)
-    fitted = fit_effects(subject, (), [{}])
-    at = {} if fitted is None else fitted.fit.values
+    fit = refit_only(subject, (), [{}])
+    at = {} if fit is None else fit.values
     parts: list[Place] = []
     for name, simulated in models.items():
         if name in setups:
@@ -387,10 +387,10 @@ def made_catalogue(
         elif name in states:
             parts += _at_states(states[name], simulated, at)
     text = catalogue_text(_merged(parts), held, signals)
-    if fitted is None:
+    if fit is None:
         return text
     varying: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **states}
-    return "\n".join([text, *varying_lines(subject, fitted, campaign, varying, tomllib.loads(text)["ports"])])
+    return "\n".join([text, *varying_lines(subject, fit, campaign, varying, tomllib.loads(text)["ports"])])
 
 
 def _parameters(setup: _Setup | None, simulator: Simulator) -> dict[str, str]:

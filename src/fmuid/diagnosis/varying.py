@@ -23,9 +23,9 @@ from fmuid.core.formulas import parse, parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import toml_text
 from fmuid.data.filtering import first_order
-from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.cross_validation import draw_noise
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, project_off
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap, project_off
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
@@ -162,7 +162,7 @@ class _Setup:
 
 def varying_lines(
     subject: Subject,
-    nominal: Fitted,
+    nominal: Refit,
     campaign: Campaign,
     models: Mapping[str, FlatModel | Fmu],
     known: Mapping[str, object],
@@ -180,7 +180,7 @@ def varying_lines(
     known
         Names of the places that the catalogue already has.
     """
-    if nominal.gap <= GAP_THAT_MATTERS:
+    if gap(nominal.residuals, subject.observed) <= GAP_THAT_MATTERS:
         return []
     chosen, among = scored(subject, campaign, models, nominal)
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
@@ -202,7 +202,7 @@ def varying_lines(
 
 
 def scored(
-    subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], nominal: Fitted
+    subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], nominal: Refit
 ) -> tuple[list[Scored], int]:
     """Return the dependences that explain more of the residual than noise would, best first.
 
@@ -210,7 +210,7 @@ def scored(
     """
     setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
-    basis, residual = nominal_basis(nominal.fit, observed), stack(nominal.fit.residuals, observed)
+    basis, residual = nominal_basis(nominal, observed), stack(nominal.residuals, observed)
     found: list[Scored] = []
     among = 0
     for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
@@ -226,14 +226,14 @@ def scored(
     found = sorted(found, key=lambda s: -s.drop)[: 3 * _MOST]
     if not found:
         return [], among
-    (prediction,) = subject.model.predict([nominal.fit.values])
+    (prediction,) = subject.model.predict([nominal.values])
     assert not isinstance(prediction, SimulationError)
     null = draw_noise(observed, prediction).null(basis, [s.signature for s in found])
     least = max(_MARGIN * null.threshold(), _SHARE * found[0].drop)
     return [s for s in found if s.drop >= least][:_MOST], among
 
 
-def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Fitted) -> _Setup | None:
+def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) -> _Setup | None:
     """Return a setup linearised at the refitted parameters; None if no run or no coefficient is there."""
     index = [k for k, case in enumerate(subject.model.cases) if case.setup == name]
     own = _without_source(model) if isinstance(model, Fmu) else {c.name: c for c in coefficients(model)}
@@ -258,14 +258,14 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Fitted)
     cases = [subject.model.cases[k] for k in index]
     wanted |= dict.fromkeys(c.variable for case in cases for c in case.channels)
     names = [n for n in wanted if all(n in case.simulator.variables for case in cases)]
-    rows = replace(subject.model, cases=tuple(cases)).trajectories(nominal.fit.values, names)
+    rows = replace(subject.model, cases=tuple(cases)).trajectories(nominal.values, names)
     courses, responses = [], []
     for case, row in zip(cases, rows, strict=True):
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
         courses.append(dict(zip(names, row, strict=True)) | driven)
         values = {
             **case.task.start_values,
-            **subject.model.start_values(case, {**subject.model.fixed, **nominal.fit.values}),
+            **subject.model.start_values(case, {**subject.model.fixed, **nominal.values}),
         }
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
     return _Setup(flat, linear, {n: own[n] for n in places}, places, index, courses, responses)
