@@ -309,6 +309,11 @@ class StageSpec:
         return bool(self.observer) or self.segments not in (None, math.inf)
 
 
+def segments_in_toml(segments: float | Literal["auto"]) -> float | str:
+    """Return segments as ``campaign.toml`` has them: a length, ``auto``, or ``run`` for whole runs."""
+    return "run" if segments == math.inf else segments
+
+
 @dataclass(frozen=True, slots=True)
 class EffectsSpec:
     """Input of a diagnosis: the catalogue of effects and the nominal model.

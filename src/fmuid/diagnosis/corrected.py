@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,7 +15,7 @@ from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import FlatModel, constant, number
 from fmu_build.model_ports import places
 from fmu_build.modelica_text import modelica_text
-from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, without_owner
+from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, segments_in_toml, without_owner
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.files import path_from, write_atomically
@@ -364,15 +363,15 @@ class _Document:
         if tie:
             stage["tie"] = dict(tie)
         sensors: dict[str, Any] = {}
+        lengths = [s.segments for s in self.campaign.stages.values() if s.segments is not None]
+        if lengths:
+            stage["segments"] = segments_in_toml(lengths[-1])
         for table in self.raw.get("stages", {}).values():
-            for key in ("segments", "observer"):
-                if key in table:
-                    stage[key] = table[key]
+            if "observer" in table:
+                stage["observer"] = table["observer"]
             for criterion in table.get("criteria", []):
                 if "sensor" in criterion.get("options", {}):
                     sensors[criterion["signal"]] = criterion["options"]["sensor"]
-        if any(spec.segments == math.inf for spec in self.campaign.stages.values()):
-            stage["segments"] = "run"
         if sensors:
             names = dict.fromkeys(c.signal for case in self.subject.model.cases for c in case.channels)
             stage["criteria"] = [

@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fmuid.core.campaign import segments_in_toml
 from fmuid.core.errors import FmuidError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
+from fmuid.core.toml_tables import toml_text
 from fmuid.data.noise.resolution import quantum
 from fmuid.data.noise.single_run import single_run_variance
 from fmuid.init.known_values import (
@@ -199,20 +201,19 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
 
 @dataclass(frozen=True, slots=True)
 class Restarts:
-    """Estimated start states of runs: the length of segments, its value in the campaign, and the reason."""
+    """Estimated start states of runs: the length of segments, and the reason."""
 
     length: Length
-    written: str
     why: str
 
     @property
     def line(self) -> str:
         """The line of the campaign."""
-        return f'segments = "{self.written}"'
+        return f"segments = {toml_text(str(segments_in_toml(self.length)))}"
 
     def __str__(self) -> str:
         """Return a line on the choice."""
-        if self.written == "auto":
+        if self.length == "auto":
             return f"runs are cut into segments, because the simulation diverges in open loop ({self.why})"
         return f"the start states of each run are estimated, because {self.why}"
 
@@ -223,7 +224,7 @@ def restarts(
     """Return how runs start if not as the model says, and a line on it or on why the model cannot follow."""
     away = runs_away(model, runs, mapping)
     if away is not None:
-        found = Restarts("auto", "auto", str(away))
+        found = Restarts("auto", str(away))
         return found, (str(found),)
     elsewhere = starts_elsewhere(model, runs, mapping, runner)
     if elsewhere is None:
@@ -234,7 +235,7 @@ def restarts(
         return None, (f"the model cannot start as the runs do: {elsewhere}, but {error.what}",)
     if not start_lasts(model, runs[0], mapping):
         return None, ()
-    found = Restarts(math.inf, "run", elsewhere)
+    found = Restarts(math.inf, elsewhere)
     return found, (str(found),)
 
 
