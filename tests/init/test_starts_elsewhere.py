@@ -44,13 +44,13 @@ def course(power, air, wall):
     return np.array(found)
 
 
-def logs(folder: Path, warm: float, repeats: int = 2) -> list[Path]:
-    """Logs of the room, which starts `warm` kelvin above the model or more, its wall by half of that."""
+def logs(folder: Path, warm: float, repeats: int = 2, wall: float = 0.0) -> list[Path]:
+    """Logs of the room, which starts `warm` kelvin above the model or more, its wall by half of that and `wall`."""
     rng, paths = np.random.default_rng(2), []
     (folder / "Room.mo").write_text(MODEL.replace("{start}", ", start=293, fixed=true"))
     for run in range(3):
         power = 300.0 * (np.sin((1 + run) * 2e-3 * TIME) > 0.0)
-        true = course(power, 293.0 + warm * (1.0 + run), 293.0 + 0.5 * warm)
+        true = course(power, 293.0 + warm * (1.0 + run), 293.0 + 0.5 * warm + wall * (1.0 + run))
         for k in range(repeats):
             rows = np.column_stack([100.0 * k + TIME, power, true + 0.02 * rng.standard_normal(TIME.size)])
             paths.append(folder / f"run{run}_{k}.csv")
@@ -75,6 +75,16 @@ def test_start_states_are_estimated_where_runs_start_elsewhere(tmp_path):
     found = fmuid.diagnose(campaign, law=False).diagnosis
     assert not found.gap.present
     assert any("fitted to each run" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("wall", [6.0, 0.0])
+def test_walls_that_were_warm_before_the_log_began_are_no_effect(tmp_path, wall):
+    """The air starts as in the model; only what follows shows where the wall started."""
+    campaign = fmuid.start(logs(tmp_path, 0.0, wall=wall), model=tmp_path / "Room.mo", out=tmp_path / "room")
+    found = fmuid.diagnose(campaign, law=False).diagnosis
+    assert found.verdict.kind == "complete"
+    assert any("start elsewhere than the model" in note for note in found.notes) is bool(wall)
+    assert found.model["G"] == pytest.approx(24.0, rel=0.02)
 
 
 def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):
