@@ -467,8 +467,7 @@ def _law(fmu: Fmu, effect: Effect) -> StateLaw | CoefficientLaw:
 
 
 def _off(effect: Effect) -> dict[str, float]:
-    sizes = [u.name for u in effect.unknowns if u.name not in effect.shapes]
-    return {name: effect.neutral[name] for name in sizes}
+    return {name: effect.neutral[name] for name in effect.sizes}
 
 
 def exchanged(campaign: Campaign) -> dict[str, Fmu]:

@@ -127,7 +127,7 @@ def noise_draws(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
 
 
 def pruned(subject: Subject, fitted: Fitted, kept: str = "") -> Fitted:
-    """Leave out the effects that the last one has made unnecessary, but not the one that is to be `kept`."""
+    """Drop the effects that the last one makes unnecessary, except the one named `kept`."""
     for name in (n for n in fitted.effects[:-1] if n != kept):
         simpler = without(subject, fitted, name)
         if simpler is not None and (simpler.gap <= GAP_THAT_MATTERS or not decide.worth_adding(simpler, fitted)):

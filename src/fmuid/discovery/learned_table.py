@@ -255,9 +255,10 @@ class _Search:
         yield _Proposed(place, _terms(over, knots), sizes, decoy.held_out, 0.0, over, knots)
 
     def _built(self, proposed: Iterable[_Proposed]) -> _Built | None:
-        """Build the most promising tables into the model, each of one size, and return the one that predicts best.
+        """Build the most promising tables into the model and return the best one.
 
-        A table over one variable then gets the size and the knots that predict best in the model that has it.
+        One size of each table is built. If the best one is over one variable, it is refitted in all sizes, and the
+        size that predicts best remains.
         """
         sizes: dict[tuple[str, ...], list[_Proposed]] = {}
         for p in proposed:
