@@ -23,7 +23,9 @@ that shares nothing with the program. Plants differ from their models by paramet
 background of three to six small effects, and by what is asked for: nothing, one or two effects of the
 catalogue's kinds in shapes that are not the catalogue's, a coefficient that varies, something that no catalogue
 has, or an effect in one operating regime only. Logs are as they come: six of ten are single runs; some start in
-motion, run in a closed loop, have the timing of a PLC, columns that nothing uses, or come with a damaged file.
+motion, run in a closed loop, have the timing of a PLC or columns that nothing uses; one file in twenty is damaged.
+Rigs are light: runs have 120 to 200 samples, no time constant is below a fifth of a sample, and large rigs are
+drawn less often: 400 cases have to end within three hours on two cores.
 
 `fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
 whole, in `benchmarks/blind/published/<seed>/`: version of the grammar, labels, answers, SHA-256 of every log.
@@ -37,7 +39,8 @@ Before any diagnosis, 50 random rigs were compared with their models: `make blin
 0.001 standard deviations of the noise).
 
 A gap is in noise floors of a sample after a refit of all parameters. Effects that a case's runs cannot tell
-apart (less than 3 standard deviations over all runs, by the plant) count as one. Intervals hold 90 %; cases
+apart (less than 3 standard deviations over all runs, by the plant) count as one. The background's effects may be
+named, and what the runs cannot tell from one of them that is visible itself. Intervals hold 90 %; cases
 cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a rig that is
 not among these lies.
 """

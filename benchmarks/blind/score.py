@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, t
 
+from benchmarks.blind.plants.cases import bad_file
+
 _NAMING = ("effect", "partial", "ambiguous")
 _BINS = 10  # of the probability, each with as many cases
 _NEAR = 0.03  # of an aim: how far an interval may reach beyond it
@@ -100,21 +102,26 @@ class Scored:
         truths, stratum = self.label["effects"], self.label["stratum"]
         if stratum == "none":
             return self.kind == "complete"
-        if stratum == "unknown":
-            return self.kind == "unknown"
+        if stratum == "unknown" and self.kind == "unknown":
+            return True
         return self.kind in _NAMING and all(
             all(any(self.is_a(n, truth) for n in s) for truth in truths) and not self._foreign(s)
             for s in self.sets
         )
 
     def _foreign(self, names: set[str]) -> set[str]:
-        truths = self.label["effects"] if self.label["stratum"] != "unknown" else []
+        truths = self.label["effects"]
         return {n for n in names if n not in self.behind and not any(self.is_a(n, truth) for truth in truths)}
 
     @property
     def wrong(self) -> bool:
         """Whether an effect is named that the plant does not have, in every set that the verdict leaves open."""
         return self.kind in _NAMING and all(self._foreign(s) for s in self.sets)
+
+    @property
+    def bad(self) -> set[str]:
+        """Names of the damaged logs."""
+        return {bad_file(k) + ".csv" for k in range(len(self.label["damaged"]))}
 
     @property
     def alarmed(self) -> bool:
@@ -166,7 +173,10 @@ class Scored:
             said = str(self.record.get("said", "")).strip().splitlines()
             return f"no answer{': ' + said[-1] if said else ''}"[:160]
         if self.wrong:
-            return "names " + ", ".join(sorted(set().union(*map(self._foreign, self.sets))))
+            named = set().union(*map(self._foreign, self.sets))
+            as_well = {canonical(n) for names in self.label["as_well"].values() for n in names}
+            fits = ", which fits these runs no worse than the catalogue's own law" if named <= as_well else ""
+            return "names " + ", ".join(sorted(named)) + fits
         if self.kind == "insufficient":
             best = (self.answer.get("best") or {}).get("effects") or []
             return f"not enough data to say; best explanation: {' and '.join(best) or 'none'}"
@@ -282,12 +292,17 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
         Figure("calibration error of the likeliest answer", *calibration(cases), upper=0.03),
         _same_information(everything),
         Figure("median processor time, s", _median(seconds), len(seconds), upper=10.0),
+        share(
+            "background of a noise floor: alarm on complete models",
+            [c for c in by["none", True] + by["none", False] if c.label["loud"]],
+            lambda c: c.alarmed,
+        ),
         share("cases with an answer", cases, lambda c: c.answer is not None),
         share("the catalogue's own shapes: one effect right", own, _right),
         share(
-            "damaged log refused by name, the others diagnosed",
+            "damaged logs refused by name, and no other; the others diagnosed",
             damaged,
-            lambda c: bool(c.record.get("refused") and c.answer),
+            lambda c: c.answer is not None and {n for n, _ in c.record["refused"]} == c.bad,
         ),
     ]
 

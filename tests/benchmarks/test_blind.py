@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import json
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +16,14 @@ from benchmarks.blind.__main__ import PAGE, PUBLISHED, publish, verify
 from benchmarks.blind.agreement import TOLERANCE, disagreement
 from benchmarks.blind.page import page
 from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
-from benchmarks.blind.plants.grammar import draw_rig
+from benchmarks.blind.plants.effects import SHAPES, Effect, candidates, usual, varying
+from benchmarks.blind.plants.grammar import draw_rig, wave
+from benchmarks.blind.plants.readings import Gaps, Run, Way, simulate
 from benchmarks.blind.score import Scored, bias, figures, localisation, share
 
 LABEL = {
     "seed": 1, "rig": 0, "case": "c0000", "number": 0, "stratum": "one", "effects": ["lag@y"], "same": {"lag@y": ["delay@y"]},
-    "background_effects": ["offset@u"], "background_same": ["gain@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": None,
+    "background_effects": ["offset@u"], "background_same": ["gain@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": [], "as_well": {"lag@y": ["drift@y"]},
     "places": ["y"], "sizes": {}, "gap": 2.0, "background": 0.2, "noise": "white", "timing": "held", "moving": False,
     "closed": 0, "style": "components", "kind": "thermal", "determined": ["a"], "values": {"a": 2.0},
 }  # fmt: skip
@@ -44,6 +48,47 @@ def test_plants_share_nothing_with_the_program():
             for a in n.names
         ]
         assert not [n for n in names if n.startswith(("fmuid", "fmu_build"))]
+
+
+def driven(number, seed=3):
+    rig, rng = draw_rig(seed, number), np.random.default_rng(1)
+    u = np.stack([wave(rng, s, rig.samples, "steps") for s in rig.inputs])
+    return rig, Run(u, rig.network.start(), np.linspace(0.0, 1.0, rig.samples)[None, :]), usual(rig, u)
+
+
+def test_every_law_has_two_to_four_shapes_of_which_none_is_the_catalogues():
+    assert set(SHAPES.values()) <= {2, 3, 4}
+    seen = set()
+    for number in range(60):
+        rig, run, typical = driven(number)
+        rng = np.random.default_rng(1)
+        acting = [*candidates(rig, typical, rng), *(v.candidate for v in varying(rig, typical, rng))]
+        for one in acting:
+            if one.law in seen:
+                continue
+            size = 3.0 if isinstance(one.effect, Effect) else 2.0
+            shaped = [replace(one.sized(size), shape=k) for k in range(SHAPES[one.law] + 1)]
+            read = [simulate(rig, rig.network, [e], run, Way(), typical)[0] for e in shaped]
+            if np.ptp(read[0] - simulate(rig, rig.network, [], run, Way(), typical)[0]) == 0.0:
+                continue  # a rim that is not reached
+            seen.add(one.law)
+            apart = [np.abs(a - b).max() / np.ptp(a) for a, b in combinations(read, 2)]
+            assert min(apart) > 1e-6, one.law
+    assert seen == set(SHAPES)
+
+
+def test_an_effect_that_cannot_be_seen_excuses_no_other_name():
+    rig, run, typical = driven(16)
+    known = candidates(rig, typical, np.random.default_rng(1))
+    gaps = Gaps(rig, rig.nominal, [run], Way(), typical, "white")
+    one = next(c for c in known if c.law == "capacity")
+    small, _ = gaps.sized(one, 0.002)
+    large, _ = gaps.sized(one, 1.0)
+    assert gaps.twins_of(small, known, 1, one.id)[0] == []
+    twin = replace(one, law="twin")  # another name for it
+    assert gaps.twins_of(large, [*known, twin], 1, one.id)[0] == [twin.id]
+    against = replace(one, law="against", effect=replace(one.effect, size=-one.effect.size))
+    assert gaps.twins_of(large, [against], 1)[0] == []
 
 
 @pytest.mark.parametrize("number", [0, 5, 16])
@@ -115,6 +160,31 @@ def test_a_coefficient_has_to_be_named_with_what_it_varies_with():
     named = {n: Scored(LABEL | label, scored(effects=[n]).record) for n in VARYING}
     assert [n for n, case in named.items() if case.right] == [VARYING[0]]
     assert named["value@wire.R"].wrong
+
+
+def test_an_unknown_effect_may_be_named_as_a_law_that_the_runs_cannot_tell_from_it():
+    label = {"stratum": "unknown", "effects": ["resonator@core"], "same": {"resonator@core": ["capacity@core"]}}
+    for verdict, right, wrong in (
+        ({"kind": "unknown"}, True, False),
+        ({"effects": ["capacity@core"]}, True, False),
+        ({"effects": ["loss@core"]}, False, True),
+    ):
+        case = Scored(LABEL | label, scored(**verdict).record)
+        assert (case.right, case.wrong) == (right, wrong)
+
+
+def test_a_miss_that_fits_as_well_as_the_law_of_the_truth_is_told_so():
+    assert "no worse" in scored(effects=["drift@y"]).reason
+    assert "no worse" not in scored(effects=["gain@y"]).reason
+
+
+def test_only_the_damaged_logs_may_be_refused():
+    figure = {}
+    for refused in ([], ["aborted_1.csv"], ["steps_1_1.csv"], ["aborted_1.csv", "steps_1_1.csv"]):
+        case = scored(damaged=["text"])
+        case.record["refused"].extend([n, "said"] for n in refused)
+        figure[tuple(refused)] = next(f for f in figures([case]) if f.name.startswith("damaged")).value
+    assert [n for n, value in figure.items() if value == 1.0] == [("aborted_1.csv",)]
 
 
 def test_the_ends_of_a_branch_may_come_in_either_order():

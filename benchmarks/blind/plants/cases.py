@@ -37,11 +37,14 @@ REHEARSAL, CHECK = 100, 400
 PER_RIG = 4
 _TWIN = 8  # of so many cases, the last one is the one before it in other units, with other columns beside
 _BLOCK = ("none",) * 5 + ("one",) * 6 + ("two",) * 2 + ("varies",) * 2 + ("unknown",) * 3 + ("regime",) * 2
+_EXPERIMENTS = (4, 4, 4, 4, 5, 5, 5, 6, 6, 7, 8)
 _REPEATS = (1,) * 12 + (2,) * 3 + (3,) * 3 + (5,) * 2
 _NOISE = ("white",) * 8 + ("coloured", "heteroscedastic", "quantised", "drift", "spikes", "inputs") * 2
 _OWN_SHAPE, _LOUD = 0.12, 0.1  # shares: cases with the catalogue's own shape, with a background of a floor
 _SUDDEN = ("saturation", "overflow")  # which leave nothing up to a size, and then much
 _DAMAGE = ("truncated", "text", "order", "empty", "columns")
+_BAD = 0.05  # of all files
+_CONTAINED = {"weight": "imbalance"}  # laws whose expression another law of the catalogue has as a part
 _UNITS = {
     "m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "V": ("mV", 1e3), "A": ("mA", 1e3), "N.m": ("kN.m", 1e-3),
     "Pa": ("kPa", 1e-3), "kg/s": ("g/s", 1e3), "W": ("kW", 1e-3), "N": ("kN", 1e-3),
@@ -87,7 +90,7 @@ def draw_case(seed: int, number: int) -> Case:
     if number % _TWIN == _TWIN - 1:
         case = draw_case(seed, number - 1)
         units, columns = not case.label["units"], not case.label["columns"]
-        own = {"case": f"c{number:04d}", "number": number, "twin_of": case.label["case"], "damaged": None}
+        own = {"case": f"c{number:04d}", "number": number, "twin_of": case.label["case"], "damaged": []}
         return replace(case, label={**case.label, **own, "units": units, "columns": columns})
     for attempt in range(50):
         try:
@@ -101,7 +104,7 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
     rig, stratum = draw_rig(seed, number // PER_RIG), stratum_of(seed, number)
     values = {n: float(f"{v * np.exp(rng.uniform(-0.2, 0.2)):.6g}") for n, v in rig.nominal.items()}
     repeats, noise = int(rng.choice(_REPEATS)), str(rng.choice(_NOISE))
-    count = int(rng.integers(4, 9))
+    count = int(rng.choice(_EXPERIMENTS))
     kinds = [*rng.permutation(KINDS_OF_WAVE).tolist(), *rng.choice(KINDS_OF_WAVE, 4).tolist()][:count]
     moving, closed = bool(rng.random() < 0.2), bool(rng.random() < 0.2)
     timing = str(rng.choice(["held", "plc", "linear"], p=[0.7, 0.2, 0.1]))
@@ -148,12 +151,13 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         total = gaps.gap([replace(b, size=b.size * factor) for b in background])
     background = [replace(b, size=b.size * factor) for b in background]
     effects = [c.effect for c in chosen]
-    same = {
-        c.id: telling.twins_of(c.effect, [k for k in known if k.id != c.id], repeats)
-        for c in chosen
-        if stratum in ("one", "two", "regime")
-    }
-    background_same = sorted({n for b in background for n in telling.twins_of(b, known, repeats)} - set(behind))
+    same, as_well = {}, {}
+    for one in chosen if stratum != "varies" else ():
+        same[one.id], as_well[one.id] = telling.twins_of(one.effect, known, repeats, one.id)
+        if one.law in _CONTAINED and rig.network.nodes[one.effect.where].domain == "rotational":
+            same[one.id].append(f"{_CONTAINED[one.law]}@{one.place}")
+    twins = {n for b in background for n in telling.twins_of(b, known, repeats)[0]}
+    background_same = sorted(twins - set(behind))
     together = gaps.gap(effects, background) if effects else 0.0
     if not np.isfinite(together) or abs(total / wanted - 1.0) > 0.3 or (effects and together < 0.95):
         raise DivergedError(f"effects and background leave {together:.2g} and {total:.2g} floors")
@@ -165,10 +169,11 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
     label |= {
         "case": f"c{number:04d}", "number": number, "seed": seed, "grammar": VERSION, "rig": rig.number,
         "kind": rig.kind, "components": rig.components, "style": rig.style, "stratum": stratum, "same": same,
+        "as_well": as_well,
         "gap": together, "background": total, "loud": loud, "background_effects": behind,
         "repeats": repeats, "noise": noise, "experiments": count, "timing": timing, "moving": moving,
         "closed": sum(c is not None for c in controllers), "values": values, "determined": gaps.determined,
-        "damaged": str(rng.choice(_DAMAGE)) if rng.random() < 0.05 else None,
+        "damaged": rng.choice(_DAMAGE, rng.binomial(count * repeats, _BAD)).tolist(),
         "twin_of": None, "columns": bool(rng.random() < 0.4), "units": bool(rng.random() < 0.15),
         "background_same": background_same, "sizes": _sizes(gaps, chosen, known),
     }  # fmt: skip
@@ -344,32 +349,39 @@ def noisy(y: Floats, sigma: Floats, noise: str, rng: np.random.Generator) -> Flo
     return y + white * sigma
 
 
+def bad_file(k: int) -> str:
+    """Return the name of a damaged log: a further recording of one of the runs."""
+    return f"aborted_{k + 1}"
+
+
 def write_case(case: Case, folder: Path) -> dict[str, str]:
     """Write what a user has; return SHA-256 of every log by name."""
     rig, label = case.rig, case.label
     folder.mkdir(parents=True, exist_ok=True)
     network, sigma = rig.with_values(case.values), np.array(rig.noise)[:, None]
     logs, hashes = [], {}
-    for run, name, control in zip(case.runs, case.names, case.controllers, strict=True):
-        for k in range(case.repeats):
-            rng = np.random.default_rng([case.rng, len(logs)])
-            own = rng.normal(size=rig.samples) * rig.noise[control[0].output] if control else None
-            y, u = simulate(
-                rig, network, case.effects, run, case.way, case.typical,
-                controller=control[0] if control else None, reference=control[1] if control else None, noise=own,
-            )  # fmt: skip
-            read = noisy(y, sigma, case.noise, rng)
-            if case.noise == "inputs":
-                u = u + rng.normal(size=u.shape) * 3e-3 * np.ptp(u, axis=1, keepdims=True)
-            file = folder / f"{name}_{k + 1}.csv"
-            file.write_text(_table(case, run, u, read, control, rng), encoding="utf-8")
-            hashes[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
-            logs.append(file.name)
-    if label["damaged"]:
-        source = (folder / logs[0]).read_text(encoding="utf-8")
-        damaged = folder / "old_run.csv"
-        damaged.write_text(_damaged(source, label["damaged"]), encoding="utf-8")
-        logs.append(damaged.name)
+
+    def record(name: str, k: int, damage: str | None = None) -> None:
+        run, control, rng = case.runs[k], case.controllers[k], np.random.default_rng([case.rng, len(logs)])
+        own = rng.normal(size=rig.samples) * rig.noise[control[0].output] if control else None
+        y, u = simulate(
+            rig, network, case.effects, run, case.way, case.typical,
+            controller=control[0] if control else None, reference=control[1] if control else None, noise=own,
+        )  # fmt: skip
+        read = noisy(y, sigma, case.noise, rng)
+        if case.noise == "inputs":
+            u = u + rng.normal(size=u.shape) * 3e-3 * np.ptp(u, axis=1, keepdims=True)
+        text = _table(case, run, u, read, control, rng)
+        file = folder / f"{name}.csv"
+        file.write_text(_damaged(text, damage) if damage else text, encoding="utf-8")
+        hashes[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+        logs.append(file.name)
+
+    for k, name in enumerate(case.names):
+        for again in range(case.repeats):
+            record(f"{name}_{again + 1}", k)
+    for k, damage in enumerate(label["damaged"]):
+        record(bad_file(k), k % len(case.runs), damage)
     (folder / f"{class_name(rig)}.mo").write_text(modelica(rig), encoding="utf-8")
     # A user knows about how exact the model has to be: to a noise floor.
     tolerance = {s.name: f"{n:.3g} {s.unit}" for s, n in zip(rig.outputs, rig.noise, strict=True)}

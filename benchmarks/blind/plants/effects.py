@@ -16,10 +16,10 @@ from benchmarks.blind.plants.network import Effect, Floats
 
 SHAPES = {
     "viscous": 2, "coulomb": 3, "stribeck": 3, "asymmetry": 2, "quadratic": 2, "presliding": 3, "cogging": 3,
-    "weight": 1, "hardening": 3, "hysteresis": 3, "backlash": 2, "leakage": 2, "capacity": 2, "loss": 3,
+    "weight": 2, "hardening": 3, "hysteresis": 3, "backlash": 2, "leakage": 2, "capacity": 2, "loss": 3,
     "radiation": 2, "outflow": 2,
-    "overflow": 2, "voltage_drop": 3, "eddy": 1, "gain": 1, "offset": 2, "drift": 2, "lag": 3,
-    "delay": 2, "saturation": 3, "dead_zone": 3, "crosstalk": 1,
+    "overflow": 2, "voltage_drop": 3, "eddy": 2, "gain": 2, "offset": 2, "drift": 2, "lag": 3,
+    "delay": 2, "saturation": 3, "dead_zone": 3, "crosstalk": 2, "coefficient": 4,
 }  # fmt: skip
 UNKNOWN = ("resonator", "wear", "pulsation", "relay", "chaos", "slip")
 AT_INPUTS = ("gain", "offset", "delay", "lag", "saturation", "dead_zone")
@@ -42,12 +42,14 @@ class SignalEffect:
     def applied(self, y: Floats, all_: Floats, scale: float, zero: float) -> Floats:
         """Return the signal as it is read or acts; `scale` and `zero` are its usual range and start."""
         t, s = np.linspace(0.0, 1.0, len(y)), self.size * scale
-        x = y - zero
+        x, limit = y - zero, scale / (1.0 + self.size)
         match self.law, self.shape:
             case "gain", 0:
                 return y * (1.0 + self.size)
-            case "gain", _:
+            case "gain", 1:
                 return y + self.size * x * (1.0 + 0.1 * x / scale)
+            case "gain", _:
+                return y + self.size * x * (1.0 + 0.1 * np.tanh(3.0 * x / scale))
             case "offset", 0:
                 return y + s
             case "offset", 1:
@@ -60,12 +62,14 @@ class SignalEffect:
                 return y + s * (1.0 - np.exp(-2.0 * t)) / (1.0 - np.exp(-2.0))
             case "drift", _:
                 return y + s * t**1.3
-            case "saturation", 0 | 1:
-                return zero + np.clip(x, -(1.0 - self.size) * scale, (1.0 - self.size) * scale)
+            case "saturation", 0:
+                return zero + x / (1.0 + np.abs(x / limit) ** 5) ** 0.2
+            case "saturation", 1:  # a knee, beyond which a twentieth of it goes on
+                return zero + np.clip(x, -limit, limit) + 0.05 * (x - np.clip(x, -limit, limit))
             case "saturation", 2:
-                return zero + _rounded(x, scale * (1.05 - self.size))
+                return zero + limit * np.tanh(x / limit)
             case "saturation", _:
-                return zero + np.clip(x, -1.1 * (1.0 - self.size) * scale, (1.0 - self.size) * scale)
+                return zero + np.clip(x, -1.1 * limit, limit)
             case "dead_zone", 0:
                 return y - np.clip(y, -s, s)
             case "dead_zone", 1:
@@ -75,18 +79,15 @@ class SignalEffect:
             case "dead_zone", _:
                 return y - 0.95 * np.clip(y, -s, s)
             case "crosstalk", _:
-                return y + self.size * (all_[self.other] - all_[self.other][0]) * (
-                    1.0 if self.shape == 0 else 0.97
-                )
+                far = all_[self.other] - all_[self.other][0]
+                late = _late(far, 0.5, 0) if self.shape == 1 else far
+                bent = 1.0 + 0.1 * np.tanh(far / max(np.ptp(far), 1e-300)) if self.shape == 2 else 1.0
+                return y + self.size * late * bent
             case "lag", _:
                 return _late(y, self.size * _PARTS, self.shape)
             case "delay", _:
                 return _delayed(y, self.size * _PARTS, self.shape)
         raise ValueError(self.law)
-
-
-def _rounded(x: Floats, limit: float) -> Floats:
-    return x / (1.0 + np.abs(x / limit) ** 5) ** 0.2
 
 
 def _late(y: Floats, steps: float, shape: int) -> Floats:
@@ -340,8 +341,6 @@ def shaped(candidate: Candidate, rng: np.random.Generator, *, own: bool = False)
     """Return a candidate with a drawn shape that is not the catalogue's, or with the catalogue's own."""
     if candidate.law in UNKNOWN or own:
         return candidate
-    if candidate.law == "coefficient":
-        return replace(candidate, effect=replace(candidate.effect, shape=int(rng.integers(4))))
     return replace(
         candidate, effect=replace(candidate.effect, shape=int(rng.integers(1, SHAPES[candidate.law] + 1)))
     )

@@ -112,9 +112,11 @@ static double law(const Effect *e, const Moment *m, const double *z, double *dz)
         return shape == 0 ? s * sin(x) : shape == 1 ? s * tanh(2.0 * sin(x)) : shape == 2 ? s * (sin(x) + 0.25 * sin(2.0 * x + 1.0))
              : s * asin(0.98 * sin(x));
     }
-    case WEIGHT: /* s1: 1 where it turns */
-        return e->s1 > 0.5 ? s * (sin(m->position) + (shape == 0 ? 0.0 : 0.08 * sin(2.0 * m->position + 0.5)))
-                           : s * (1.0 + (shape == 0 ? 0.0 : 0.05 * tanh(m->position / e->scale)));
+    case WEIGHT: { /* s1: 1 where it turns */
+        const double x = m->position, far = x / e->scale;
+        return e->s1 > 0.5 ? s * (sin(x) + (shape == 0 ? 0.0 : shape == 1 ? 0.08 * sin(2.0 * x + 0.5) : 0.06 * sin(3.0 * x)))
+                           : s * (1.0 + (shape == 0 ? 0.0 : 0.05 * (shape == 1 ? tanh(far) : far * far)));
+    }
     case HARDENING: {
         const double x = p / e->scale;
         return shape == 0 ? s * x * x * x : shape == 1 ? s * (sinh(2.0 * x) - 2.0 * x) / 2.0
@@ -134,11 +136,11 @@ static double law(const Effect *e, const Moment *m, const double *z, double *dz)
         return s * (m->p - e->zero - z[0]) / e->s1;
     case LOSS:
         return shape == 0 ? s * p : shape == 1 ? s * power(p, 1.25, 1e-3 * e->scale) * pow(e->scale, -0.25)
-             : shape == 2 ? s * (p + 0.06 * e->scale) : s * (0.8 * p + 0.2 * p * fabs(p) / e->scale);
+             : shape == 2 ? s * p * (1.0 + 0.15 * tanh(p / e->scale)) : s * (0.8 * p + 0.2 * p * fabs(p) / e->scale);
     case RADIATION: {
         const double t4 = pow(m->p, 4.0) - pow(e->zero, 4.0), full = pow(e->zero + e->scale, 4.0) - pow(e->zero, 4.0);
         return shape == 0 ? s * t4 / full : shape == 1 ? s * t4 / full * (m->p / (e->zero + 0.5 * e->scale))
-             : s * (pow(m->p, 4.0) - pow(e->zero - 3.0, 4.0)) / full;
+             : s * t4 / full * (1.0 - 0.1 * p / e->scale);
     }
     case OUTFLOW: return s * (shape == 0 ? power(m->p, 0.5, 1e-4 * e->scale) : shape == 1 ? power(m->p, 0.58, 1e-3 * e->scale) * pow(e->scale, -0.08) : power(m->p, 0.5, 0.05 * e->scale));
     case OVERFLOW: { /* s1: the rim */
@@ -151,10 +153,12 @@ static double law(const Effect *e, const Moment *m, const double *z, double *dz)
              : shape == 2 ? (fabs(i) > knee ? s * sgn(i) : s * (2.0 * i / knee - i * fabs(i) / (knee * knee))) /* Shichman and Hodges */
              : s * soft(i, 0.3 * knee);
     }
-    case EDDY: /* a shorted turn around a coil; in shape 1 two of them */
-        dz[0] = (m->through - z[0]) / e->s1;
+    case EDDY: { /* a shorted turn around a coil; in shape 1 two of them; in shape 2 one that grows warm */
+        const double i = m->through - z[0];
+        dz[0] = i / e->s1;
         dz[1] = (m->through - z[1]) / (4.0 * e->s1);
-        return s * (m->through - z[0]) + (shape == 0 ? 0.0 : 0.4 * s * (m->through - z[1]));
+        return s * i * (shape == 2 ? 1.0 - 0.3 * tanh(fabs(i) / e->scale) : 1.0) + (shape == 1 ? 0.4 * s * (m->through - z[1]) : 0.0);
+    }
     /* From here on what no catalogue has. */
     case RESONATOR:
         dz[0] = z[1];
@@ -185,9 +189,10 @@ static double gated(const Effect *e, double p, double rate) {
 static double shaped(const Effect *e, double x) { /* how a coefficient varies, 0 at its variable's zero */
     switch ((int)e->shape) {
     case 0: return e->size * x;
-    case 1: return e->size * x / (1.0 + fabs(x));
-    case 2: return expm1(e->size * x);
-    default: return e->size * 0.5 * (1.0 + tanh((x - 0.5) / 0.15));
+    case 1: return e->size * x / (1.0 + 0.5 * fabs(x));
+    case 2: return e->size * x * (1.0 + 0.25 * fabs(x));
+    case 3: return e->size * sinh(x) / 1.1752;
+    default: return e->size * 0.5 * (1.0 + soft(x - 0.5, 0.15));
     }
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -110,7 +110,7 @@ class Gaps:
             noise,
         )
         self._sigma = np.array(rig.noise)[:, None]
-        self._directions: dict[str, Floats | None] = {}
+        self._directions: dict[Candidate, Floats | None] = {}
         self.plain = self.readings({})
         columns = [(self.readings({p.name: _STEP}) - self.plain) / _STEP for p in rig.parameters]
         self._jacobian = np.column_stack(columns)
@@ -179,41 +179,70 @@ class Gaps:
             )
         return candidate.sized(sign * size), gap
 
-    def twins_of(self, effect: Any_, others: Sequence[Candidate], repeats: int) -> list[str]:
-        """Return the ids of candidates that these runs cannot tell from an effect.
+    def twins_of(
+        self, effect: Any_, others: Sequence[Candidate], repeats: int, own: str = ""
+    ) -> tuple[list[str], list[str]]:
+        """Return the ids of candidates that these runs cannot tell from an effect, and of those that fit as well.
 
-        A candidate, at its best size and with the parameters refitted, differs by less than three
-        standard deviations over all runs.
+        A candidate, at its best size and with the parameters refitted, is the same if it differs by less than
+        three standard deviations over all runs, and by less than half of what the effect leaves. It fits as well
+        if it differs by no more than the catalogue's own law, `own`, whose shape the effect does not have.
         """
         try:
             target = self.left([effect])
         except DivergedError:
-            return []
-        found = []
+            return [], []
+        half = 0.5 * float(np.linalg.norm(target)) * np.sqrt(repeats)
+        limit, mine = min(_APART, half), 0.0
+        for one in (c for c in others if c.id == own):
+            mine = min(self._apart(target, c, np.inf) for c in _of_other_widths(one)) * np.sqrt(repeats)
+            mine = mine if mine < half else 0.0
+        same, as_well = [], []
         for other in others:
-            size, apart, direction = 0.05, np.inf, self._direction(other)
-            for _ in range(4):
-                if direction is None or not np.any(direction):
-                    break
-                along = float(direction @ target) / float(direction @ direction)
-                apart = float(np.linalg.norm(target - along * direction)) * np.sqrt(repeats)
-                if apart > 10.0 * _APART or (size * along < 0 and not other.two_sided) or 0.9 < along < 1.1:
-                    break
-                size = float(np.clip(size * along, -other.most, other.most))
-                try:
-                    direction = self.left([other.sized(size)])
-                except DivergedError:
-                    break
-            if apart < _APART:
-                found.append(other.id)
-        return found
+            if other.id == own:
+                continue
+            apart = self._apart(target, other, 2.0 * max(mine, 5.0 * limit)) * np.sqrt(repeats)
+            if apart < limit:
+                same.append(other.id)
+            elif apart <= mine:
+                as_well.append(other.id)
+        return same, as_well
+
+    def _apart(self, target: Floats, other: Candidate, hopeless: float) -> float:
+        """Return by how much a candidate at its best size differs from residuals; infinite with an absurd size."""
+        size, apart, direction = 0.05, np.inf, self._direction(other)
+        for _ in range(4):
+            if direction is None or not np.any(direction):
+                return apart
+            along = float(direction @ target) / float(direction @ direction)
+            if size * along < 0 and not other.two_sided:
+                return np.inf
+            apart = min(apart, float(np.linalg.norm(target - along * direction)))
+            if apart > hopeless or 0.97 < along < 1.03:
+                break
+            size = float(np.clip(size * along, -other.most, other.most))
+            try:
+                direction = self.left([other.sized(size)])
+            except DivergedError:
+                break
+        return apart
 
     def _direction(self, other: Candidate) -> Floats | None:
         """Return the residuals of a candidate of a small size, to first order."""
-        if other.id not in self._directions:
+        if other not in self._directions:
             try:
                 moved = self.readings({}, [other.sized(0.05)]) - self.plain
-                self._directions[other.id] = moved - self._basis @ (self._basis.T @ moved)
+                self._directions[other] = moved - self._basis @ (self._basis.T @ moved)
             except DivergedError:
-                self._directions[other.id] = None
-        return self._directions[other.id]
+                self._directions[other] = None
+        return self._directions[other]
+
+
+def _of_other_widths(candidate: Candidate) -> list[Candidate]:
+    """Return a candidate with several values of what its law has in addition to a size: a width, a time."""
+    if candidate.law not in ("stribeck", "presliding", "hysteresis", "capacity", "eddy"):
+        return [candidate]
+    assert isinstance(candidate.effect, Effect)
+    return [
+        replace(candidate, effect=replace(candidate.effect, s1=by * candidate.effect.s1)) for by in (0.4, 1.0, 2.5)
+    ]
