@@ -27,7 +27,7 @@ LINEAR := $(foreach stage,linear_step bearing linear,--stage $(stage))
 ROWS := $(foreach row,10 15 20 30,row_$(row)_equal row_$(row)) rows
 FRICTION := $(foreach stage,bearing linear $(ROWS) standstill,--stage $(stage))
 
-.PHONY: all setup fmus coupled test test-all test-reference test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-experiments discovery bench coverage fuzz kills failing-writes memory standard-library modelica-by-example compliance screenshots docs release clean
+.PHONY: all setup fmus coupled test test-all test-reference test-page lint identify identify-linear identify-friction identify-emps identify-go1 identify-double-pendulum identify-robot identify-credibility identify-temperature-lab paper diagnose diagnose-emps diagnose-go1 diagnose-double-pendulum diagnose-robot sealed sealed-abroad blind blind-publish blind-verify blind-agreement designed-runs bench coverage fuzz kills failing-writes memory standard-library modelica-by-example compliance screenshots docs release clean
 all: identify
 
 setup: $(READY)
@@ -100,16 +100,9 @@ blind-verify: | $(READY)
 blind-agreement: | $(READY)
 	$(BIN)/python -m benchmarks.blind.agreement $(or $(SEED),1)
 
-# Plants with laws that no catalogue has, 60, and 20 that no equation expresses: is the law found? Continues where it was
-# interrupted; an hour or two on two quiet cores. FIRST=20: the first twenty, and seven of the others.
-discovery: | $(READY)
-	$(BIN)/python -m benchmarks.discovery --out build/discovery $(FIRST:%=--first %)
-
-# Whether designed runs settle what they claim to, on four rigs and on the actuator: about two hours. Continues
-# where it was interrupted.
-designed-experiments: $(DEVELOPER) $(FMUS)
+# By how much designed runs of the actuator reduce standard errors.
+designed-runs: $(DEVELOPER) $(FMUS)
 	$(BIN)/python -m benchmarks.designed_actuator
-	$(BIN)/python -m benchmarks.designed_experiments build/designed_experiments
 
 # How often 95 % intervals contain the truth: the linear stage under white and coloured noise, and a light model under
 # thirteen kinds of noise and wrong models. Fifteen minutes.
@@ -199,7 +192,7 @@ mutation: $(DEVELOPER)
 
 # Pictures of reports in docs/figures; needs a browser: Chromium or Chrome.
 screenshots: $(DEVELOPER)
-	$(BIN)/python -m benchmarks.documentation_pictures
+	$(BIN)/python -m docs.pictures.reports
 
 # Pages in build/site; a warning is an error.
 docs: $(READY)

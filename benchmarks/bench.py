@@ -255,8 +255,7 @@ def measure(out: Path, *, quick: bool) -> str:
         part(
             "imports",
             lambda: table(
-                ["", "time (s)"],
-                [[what, f"{t:.2f}"] for what, t in evaluation.imports(3 if quick else 9).items()],
+                ["", "time (s)"], [[what, f"{t:.2f}"] for what, t in evaluation.imports(3 if quick else 9).items()]
             ),
         )
         setups = ("FixedShaft",) if quick else ("FixedShaft", "FreeShaft", "EccentricLoad")

@@ -325,11 +325,7 @@ def imports(repeats: int) -> dict[str, float]:
         return lambda: subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
 
     times = in_turn(
-        {
-            "bare": run("-c", "pass"),
-            "import fmuid": run("-c", "import fmuid"),
-            "fmuid --help": run(*_HELP),
-        },
+        {"bare": run("-c", "pass"), "import fmuid": run("-c", "import fmuid"), "fmuid --help": run(*_HELP)},
         repeats,
         time.perf_counter,
     )

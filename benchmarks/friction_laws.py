@@ -56,12 +56,7 @@ def references(t: np.ndarray) -> list[np.ndarray]:
     """Return (N,) reference angles in rad, alike to those of the public logs."""
     lift = np.interp(t, [0.0, 2.0, 4.0, 6.0], [0.0, 1.5, 0.0, -1.0])
     up_and_down = np.interp(t, [0.0, 1.0, 2.0, 3.5, 4.5, 6.0], [0.0, 0.8, 0.4, 1.6, 0.2, 0.0])
-    return [
-        1.0 * np.sin(2.0 * t) + 0.4 * np.sin(5.0 * t),
-        lift,
-        up_and_down,
-        1.2 * np.sin(0.6 * t**2),
-    ]
+    return [1.0 * np.sin(2.0 * t) + 0.4 * np.sin(5.0 * t), lift, up_and_down, 1.2 * np.sin(0.6 * t**2)]
 
 
 def measure(*, limit: float = 60.0, logs: int = 4) -> list[Fit]:

@@ -179,11 +179,7 @@ def _drawn(
 
 
 def _measured(
-    run: Experiment,
-    case: Case,
-    prediction: FloatArray,
-    generator: np.random.Generator,
-    kind: str,
+    run: Experiment, case: Case, prediction: FloatArray, generator: np.random.Generator, kind: str
 ) -> Experiment:
     signals = dict(run.signals)
     gain = 1.0 + _GAIN * float(generator.standard_normal()) if kind == "gain" else 1.0

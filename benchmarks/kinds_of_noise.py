@@ -52,10 +52,7 @@ def light_campaign(seed: int, runs: int = RUNS, sigma: float = SIGMA) -> Campaig
         steps = np.repeat(generator.uniform(-1.0, 1.0, 15), 20)
         size, frequency = generator.uniform(0.5, 2.0), generator.uniform(0.3, 2.0)
         u = steps if k % 2 else size * np.sin(2.0 * np.pi * frequency * TIME)
-        signals = {
-            "u": Signal("u", u, "1", "input"),
-            "y": Signal("y", np.zeros(len(TIME)), "1", "output", sigma),
-        }
+        signals = {"u": Signal("u", u, "1", "input"), "y": Signal("y", np.zeros(len(TIME)), "1", "output", sigma)}
         experiments[f"run{k}"] = Experiment(f"run{k}", "bench", TIME, signals)
     parameters = {
         "k": ParameterSpec("k", 1.5, 0.1, 10.0, truth=2.0),

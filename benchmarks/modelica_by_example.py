@@ -176,7 +176,7 @@ TRUTH: dict[str, Law] = {
 # What is known of those that are not simulated.
 NOTES = {
     "ModelicaByExample.BasicEquations.CoolingExample.NewtonCooling": "the book gives its parameters no values, and"
-    " the heat capacity is zero",
+    " the heat capacity is zero"
 }
 
 

@@ -117,12 +117,7 @@ def parameter_table() -> Mapping[str, ParameterInfo]:
 
 
 def run(
-    parameters: FloatArray,
-    loss_table: FloatArray,
-    setup: str,
-    inputs: FloatArray,
-    interval: float,
-    substeps: int,
+    parameters: FloatArray, loss_table: FloatArray, setup: str, inputs: FloatArray, interval: float, substeps: int
 ) -> tuple[FloatArray, FloatArray]:
     """Run one experiment from rest; return the channels (N, 8) and the works (4,) in J.
 

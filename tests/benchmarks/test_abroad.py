@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.rigs.case import diagnose
-from benchmarks.rigs.rigs import FOUND_ON
+from tests.known_rigs.case import diagnose
+from tests.known_rigs.rigs import FOUND_ON
 
 BY_NAME = {rig.name: rig for rig in FOUND_ON}
 

@@ -12,9 +12,6 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from benchmarks.rigs.logs import Recording, write_logs
-from benchmarks.rigs.rehearsal_rigs import REHEARSED_ON
-from benchmarks.rigs.shaker import SHAKER
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.cli.app import run
 from fmuid.core.experiments import Measurements
@@ -26,6 +23,9 @@ from fmuid.init.known_values import is_drawn
 from fmuid.init.new_campaign import match_columns
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.simulator import Task, Variable
+from tests.known_rigs.logs import Recording, write_logs
+from tests.known_rigs.rehearsal_rigs import REHEARSED_ON
+from tests.known_rigs.shaker import SHAKER
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 Command = Callable[..., tuple[int, str, str]]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.foreign.plants import plant_fmu
 from fmuid.cli.app import run
+from tests.foreign_fmus.plants import plant_fmu
 from tests.simulation.fmus import make_oscillator
 
 

@@ -321,7 +321,7 @@ def test_laws_follow_the_domain():
 
 
 def test_only_what_has_a_mass_has_a_weight():
-    models = Path(__file__).parents[2] / "benchmarks" / "rigs" / "models"
+    models = Path(__file__).parents[2] / "tests" / "known_rigs" / "models"
     belt = load(models / "BeltAxis.mo", "BeltAxis")
     laws_at = possible_laws(belt)
     assert "weight" in laws_at["carriage"]

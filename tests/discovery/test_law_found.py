@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import fmuid
-from benchmarks.discovery.case import cases, make_campaign
-from benchmarks.rigs.logs import Recording, drawn_factors, write_logs
-from benchmarks.rigs.plant import Extra
-from benchmarks.rigs.thermal_block import THERMAL_BLOCK as BLOCK
 from fmu_build.instrument import State
 from fmuid.cli.app import run
 from fmuid.discovery.injected import of_second_order
 from fmuid.effects.effect import Effect
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
+from tests.known_rigs.logs import Recording, drawn_factors, write_logs
+from tests.known_rigs.plant import Extra
+from tests.known_rigs.tanks import TANKS
+from tests.known_rigs.thermal_block import THERMAL_BLOCK as BLOCK
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
@@ -31,11 +31,11 @@ def cache(tmp_path_factory):
         yield
 
 
-def diagnosed(extras, folder, *, effect=None, repeats=2):
-    rng = np.random.default_rng(5)
-    factors = drawn_factors(BLOCK, rng)
-    logs = write_logs(BLOCK, factors, effect or {}, folder, Recording(repeats), rng, extras=extras)
-    model = ["--model", str(BLOCK.file), "--class", BLOCK.model]
+def diagnosed(extras, folder, *, rig=BLOCK, effect=None, repeats=2, seed=5):
+    rng = np.random.default_rng(seed)
+    factors = drawn_factors(rig, rng)
+    logs = write_logs(rig, factors, effect or {}, folder, Recording(repeats), rng, extras=extras)
+    model = ["--model", str(rig.file), "--class", rig.model]
     campaign, out = folder / "campaign", folder / "diagnosis"
     assert run(["init", *map(str, logs), *model, "--out", str(campaign), "--workers", "0", "--quiet"]) == 0
     assert run(["diagnose", str(campaign), "--out", str(out), "--workers", "0"]) == 0
@@ -100,22 +100,28 @@ def test_a_course_that_nothing_in_the_model_knows_gets_no_equation_but_a_reason(
 
 @pytest.mark.slow
 def test_a_law_is_looked_for_where_the_effect_that_is_named_leaves_more_than_noise(tmp_path):
-    case = cases()[1]  # an outflow with the cube of the level, much like a leakage
-    campaign, out = make_campaign(case, tmp_path / "case"), tmp_path / "diagnosis"
-    assert run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"]) == 0
-    answer = json.loads((out / "diagnosis.json").read_text())
+    # An outflow with the cube of the level is much like a leakage.
+    law = Extra("upper", lambda values, *_: 4e-6 * (values["p"] / 0.3) ** 3)
+    answer, _ = diagnosed(dict.fromkeys(TANKS.inputs, law), tmp_path, rig=TANKS, repeats=3, seed=1)
     assert answer["verdict"]["kind"] == "effect"
     assert answer["verdict"]["rest"]["gap"] > 0.1
     assert answer["law_found"]["formula"].endswith("(p/0.2)^3")
     assert answer["law_found"]["closure"]["held_out"] > answer["answers"][0]["closure"]["held_out"]
 
 
+def line_of_lags(cells, lag):
+    """Return a flow that follows the temperature of the casing through a chain of lags."""
+
+    def rates(values, state, _):
+        before = [values["p"] / 55.0, *state]
+        return [(b - own) * cells / lag for b, own in zip(before, state, strict=False)]
+
+    return Extra("casing", lambda _, state, __: 5.0 * state[-1], rates, [0.0] * cells)
+
+
 @pytest.mark.slow
 def test_a_memory_that_a_longer_delay_may_be_is_no_law(tmp_path):
-    late = next(c for c in cases() if c.number == 76)  # a line of twelve lags
-    campaign, out = make_campaign(late, tmp_path / "case"), tmp_path / "diagnosis"
-    assert run(["diagnose", str(campaign), "--out", str(out), "--workers", "0", "--quiet"]) == 0
-    answer = json.loads((out / "diagnosis.json").read_text())
+    answer, _ = diagnosed(dict.fromkeys(BLOCK.inputs, line_of_lags(12, 2500.0)), tmp_path, repeats=3, seed=76)
     assert answer["verdict"]["kind"] == "unknown"
     assert answer["law_found"]["formula"] is None
     assert "do not tell its first-order memory from one of second order" in answer["law_found"]["reason"]

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.foreign.plants import PLANTS, Gap, plant_fmu, write_logs
 from fmuid import diagnose
 from fmuid.cli.app import run
 from fmuid.simulation.fmu import load_fmu
+from tests.foreign_fmus.plants import PLANTS, Gap, plant_fmu, write_logs
 from tests.reference.plain_fmpy import simulate_fmu
 
 RIGS = {

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.foreign.plants import Gap, plant_fmu, write_logs
 from fmuid.cli.app import run
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
+from tests.foreign_fmus.plants import Gap, plant_fmu, write_logs
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 TEXT = '<ScalarVariable name="file" valueReference="99" causality="parameter" variability="fixed"><String start="a.csv"/></ScalarVariable>'  # fmt: skip

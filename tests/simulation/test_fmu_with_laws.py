@@ -12,7 +12,6 @@ import pytest
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
-from benchmarks.foreign.plants import PLANTS, plant_fmu
 from fmu_build.errors import ModelicaError
 from fmu_build.instrument import Added, State
 from fmuid.core.errors import FmuError, SimulationError
@@ -21,6 +20,7 @@ from fmuid.simulation.fmu_copy import copy_with_starts
 from fmuid.simulation.fmu_with_laws import CoefficientLaw, StateLaw, write_fmu_with_laws
 from fmuid.simulation.law_code import OPERATIONS, Operand, code_of
 from fmuid.simulation.simulator import Task
+from tests.foreign_fmus.plants import PLANTS, plant_fmu
 from tests.reference.plain_fmpy import simulate_fmu
 
 TIME = np.linspace(0.0, 1.0, 101)

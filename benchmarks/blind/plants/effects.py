@@ -371,10 +371,7 @@ def gated(candidate: Candidate, typical: Usual, rng: np.random.Generator) -> Can
 
 def acting(effects: Sequence[Effect | SignalEffect]) -> tuple[list[Effect], list[SignalEffect]]:
     """Split effects into those of the network and those of signals."""
-    return (
-        [e for e in effects if isinstance(e, Effect)],
-        [e for e in effects if isinstance(e, SignalEffect)],
-    )
+    return ([e for e in effects if isinstance(e, Effect)], [e for e in effects if isinstance(e, SignalEffect)])
 
 
 def parts_of(effects: Sequence[SignalEffect]) -> int:

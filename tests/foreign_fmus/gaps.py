@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.foreign.plants import Floats, Gap
+from tests.foreign_fmus.plants import Floats, Gap
 
 
 def at(state: int, n: int, flow: Callable[[Floats, Floats], float]) -> Gap:

@@ -1,6 +1,6 @@
 """Pictures of HTML pages as a browser shows them, in windows of any width: figures of the documentation.
 
-``python -m benchmarks.screenshots PAGE.html OUT.png WIDTH [--height N] [--dark]`` takes the whole page, or its
+``python -m docs.pictures.screenshots PAGE.html OUT.png WIDTH [--height N] [--dark]`` takes the whole page, or its
 first N pixels. Chromium is driven over a pipe (https://chromedevtools.github.io/devtools-protocol/), so nothing
 else is needed.
 """

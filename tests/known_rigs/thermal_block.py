@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.rigs.plant import Extra, Floats, Rig, acting, hidden_start, integrate, lagged, steps
+from tests.known_rigs.plant import Extra, Floats, Rig, acting, hidden_start, integrate, lagged, steps
 
 _ROOM = 293.15
 

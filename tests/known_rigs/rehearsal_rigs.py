@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.rigs.compiled import CompiledPlant, Place
-from benchmarks.rigs.compiled_rig import compiled_rig, times
-from benchmarks.rigs.plant import Rig, random_steps, steps
+from tests.known_rigs.compiled import CompiledPlant, Place
+from tests.known_rigs.compiled_rig import compiled_rig, times
+from tests.known_rigs.plant import Rig, random_steps, steps
 
 
 def _belt_axis() -> Rig:

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.rigs.plant import Extra, Floats, Rig
+from tests.known_rigs.plant import Extra, Floats, Rig
 
 SPREAD = 0.2  # of the plant's parameters around the model's
 Noise = Literal["white", "coloured", "heteroscedastic", "quantised", "drift", "spikes", "inputs"]

@@ -1,4 +1,4 @@
-"""What each law looks like, for `docs/laws.md`: ``python benchmarks/law_pictures.py docs/figures/laws.png``."""
+"""What each law looks like, for `docs/laws.md`: ``python docs/pictures/laws.py docs/figures/laws.png``."""
 
 from __future__ import annotations
 

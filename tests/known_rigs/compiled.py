@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rigs.plant import Floats, lagged
 from benchmarks.virtual_rig.library import compiled
 from fmuid.core.errors import SimulationError
+from tests.known_rigs.plant import Floats, lagged
 
 SHAPE = ".shape"  # next to the size of an effect
 _PLANTS = ("BeltAxis", "ThermalBlock", "Circuit", "Tanks")

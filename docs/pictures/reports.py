@@ -12,10 +12,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks import page_pictures
-from benchmarks.screenshots import browser
+from docs.pictures import open_page
+from docs.pictures.screenshots import browser
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1]
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # Page, width of the window, height of what is shown (all of it if none).
 REPORTS = {
@@ -40,7 +40,7 @@ def main() -> None:
             run_page(DOCS / page, folder)
         page = "fmuid identify demo/campaign --no-report --quiet; fmuid diagnose runs/campaign --quiet"
         run(["bash", "-e", "-c", page], folder)
-        page_pictures.take(folder, "demo/campaign", DOCS / "figures")
+        open_page.take(folder, "demo/campaign", DOCS / "figures")
         with browser() as window:
             for picture, (report, width, height) in REPORTS.items():
                 whole = window.open(folder / report, width)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.rigs.compiled import SHAPE, CompiledPlant, Place
-from benchmarks.rigs.plant import Floats, Rig
+from tests.known_rigs.compiled import SHAPE, CompiledPlant, Place
+from tests.known_rigs.plant import Floats, Rig
 
 _DIRECTED = {  # laws whose sign is open
     "asymmetry",

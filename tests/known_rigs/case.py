@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rigs.logs import Recording, drawn_factors, write_logs
-from benchmarks.rigs.plant import Rig
 from fmuid.cli.app import run
+from tests.known_rigs.logs import Recording, drawn_factors, write_logs
+from tests.known_rigs.plant import Rig
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Diagnose rigs whose models are FMUs without source, and score the answers.
 
-``python -m benchmarks.foreign OUT [--only PATTERN] [--fmi 2|3] [--seed N]`` writes an answer for each case to
+``python -m tests.foreign_fmus OUT [--only PATTERN] [--fmi 2|3] [--seed N]`` writes an answer for each case to
 ``OUT/answers.jsonl`` and continues where it was interrupted.
 """
 
@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from benchmarks.foreign.gaps import GAPS
-from benchmarks.foreign.plants import plant_fmu, write_logs
 from fmuid.cli.app import run
+from tests.foreign_fmus.gaps import GAPS
+from tests.foreign_fmus.plants import plant_fmu, write_logs
 
 _RUNS, _REPEATS, _SAMPLES = 4, 3, 250
 

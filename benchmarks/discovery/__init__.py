@@ -1,1 +1,0 @@
-"""Laws that no catalogue has: whether a diagnosis finds their equation, and keeps silent where there is none."""
