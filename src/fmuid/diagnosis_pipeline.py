@@ -210,9 +210,9 @@ def diagnose(
         Seed of the null distribution and the bootstrap.
     rehearse
         Number of plants with known effects to simulate from the fitted model, with inputs, repeats and noise of
-        the measurements, and to diagnose first. The result lists which were found, and the probabilities are
-        calibrated on them. The calibration is stored in the user's cache and reused; the default is the one that
-        comes with the package.
+        the measurements and a background of small effects, and to diagnose first. The result lists which were
+        found, and the probabilities are calibrated on them. The calibration is stored in the user's cache and
+        reused; the default is the one that comes with the package.
     law
         Whether to look for an equation where the verdict leaves more than noise.
     tolerance

@@ -13,6 +13,7 @@ from fmuid.diagnosis.calibration import (
     _Maker,
     calibrate,
     fit_curves,
+    is_true,
     keep,
     kept,
     key_of,
@@ -60,14 +61,14 @@ def test_a_few_trials_change_little():
 def test_plants_are_as_far_off_as_asked_and_as_noisy_as_what_was_measured(fitted):
     subject, fit, paths = fitted
     truths = []
-    for made, truth, _ in simulated_plants(subject, fit, paths, 20, seed=1):
+    for made, truth, _, _ in simulated_plants(subject, fit, paths, 20, seed=1):
         truths.append(truth)
         assert truth <= {*EFFECTS, "none", "unknown"}
         noise = made.observed.noise["bench"].sigma
         assert noise["v"] == pytest.approx(subject.observed.noise["bench"].sigma["v"], rel=0.25)
         if truth == {"none"}:
             (nominal,) = made.model.predict([fit.values])
-            assert abs(excess(made.observed.residuals(nominal), made.observed)) < 0.1
+            assert -0.1 < excess(made.observed.residuals(nominal), made.observed) < 0.6
         elif len(truth) == 1:
             nominal = fit_effects(made, (), [fit.values])
             assert nominal.gap > 0.25
@@ -83,6 +84,20 @@ def test_plants_of_single_runs_are_as_noisy_as_the_diagnosis_assumes():
     )
     assumed, simulated = (s.observed.noise["bench"].sigma["v"] for s in (subject, made.subject))
     assert simulated == pytest.approx(assumed, rel=0.35)
+
+
+def test_plants_have_a_background_that_a_verdict_may_name(fitted):
+    subject, fit, paths = fitted
+    made = next(iter(simulated_plants(subject, fit, paths, 1)))
+    assert made.truth == {"none"}
+    assert made.background <= set(EFFECTS)
+    assert len(made.background) >= 3
+    assert 0.05 < made.gap < 0.8
+    one, other = sorted(made.background)[:2]
+    for effects, right in (((one,), True), ((one, other), True), (("none",), True), (("elsewhere",), False)):
+        assert is_true(Verdict("effect", effects), made.truth, made.background) is right
+    assert is_true(Verdict("effect", ("a", one)), frozenset({"a"}), made.background)
+    assert not is_true(Verdict("effect", (one,)), frozenset({"a"}), made.background)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])

@@ -1,10 +1,10 @@
 """Calibration of probabilities: how often verdicts are right on plants simulated from the model and its noise.
 
 Plants are the fitted nominal model with no effect, with one, with two, with one whose law has another shape, or
-with a free function at a port that matches no effect of the catalogue. Their noise is mixed, frequency by
-frequency, from the differences between repeats. Each plant is diagnosed like the measurements, and for each kind
-of verdict a logistic curve (Platt 1999) maps the weight of its answers to how often they were true. No label of
-any real measurement is used.
+with a free function at a port that matches no effect of the catalogue. Like a real machine, each also has a
+background of small effects. Its noise is mixed, frequency by frequency, from the differences between repeats.
+Each plant is diagnosed like the measurements, and for each kind of verdict a logistic curve (Platt 1999) maps the
+weight of its answers to how often they were true. No label of any real measurement is used.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from fmuid.effects.effect import Effect, Port
 KINDS = ("none", "one", "shape", "two", "unknown")
 SHARES = (0.25, 0.25, 0.2, 0.15, 0.15)  # of the kinds: as many plants without an effect as with one
 GAPS = (0.5, 1.0, 3.0, 10.0)  # gaps of the plants, in noise floors
+_BACKGROUND, _BEHIND = (0.1, 0.5), (3, 6)  # gap of the background, in noise floors; how many effects it has
 _APPROACHES = 3  # simulations to reach a gap that was drawn, which need not be met exactly
 _FACTORS = (0.02, 50.0)  # by which one of them changes a size: laws are not linear
 _DRAWS = 10  # attempts to draw a plant of a kind that can be simulated
@@ -58,6 +59,8 @@ class Trial:
         True answer of the plant and the gap that it leaves, in noise floors.
     named
         Effects of the verdict; those that it leaves open follow.
+    background
+        Small effects that the plant has in addition.
     """
 
     kind: str
@@ -66,12 +69,14 @@ class Trial:
     truth: tuple[str, ...] = ()
     gap: float = 0.0
     named: tuple[str, ...] = ()
+    background: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON value."""
         return {
             "truth": list(self.truth),
             "gap": self.gap,
+            "background": list(self.background),
             "verdict": self.kind,
             "named": list(self.named),
             "right": self.right,
@@ -79,11 +84,12 @@ class Trial:
 
 
 class Plant(NamedTuple):
-    """A simulated plant: its recordings, its true answer, and the gap that it leaves, in noise floors."""
+    """A simulated plant: its recordings, true answer, gap in noise floors, and the effects of its background."""
 
     subject: Subject
     truth: frozenset[str]
     gap: float
+    background: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +143,15 @@ def says(verdict: Verdict, probability: Mapping[tuple[str, ...], float]) -> floa
     return sum(p for answer, p in probability.items() if frozenset(answer) in said)
 
 
-def is_true(verdict: Verdict, truth: frozenset[str]) -> bool:
-    """Return whether one of a verdict's answers is `truth`; for a partial verdict, a part of it."""
+def is_true(verdict: Verdict, truth: frozenset[str], background: frozenset[str] = frozenset()) -> bool:
+    """Return whether one of a verdict's answers is `truth`; for a partial verdict, a part of it.
+
+    Effects of the background may be named in addition, or instead of none.
+    """
     if verdict.kind == "partial":
-        return set(verdict.effects) <= truth
-    return truth in {frozenset(answer) for answer in verdict.answers}
+        return set(verdict.effects) <= truth | background
+    answers = [frozenset(answer) - background for answer in verdict.answers]
+    return truth in answers or (truth == {"none"} and frozenset() in answers)
 
 
 def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
@@ -214,7 +224,7 @@ class _Maker:
         """Return a plant; None if it cannot be simulated."""
         values, truth = dict(self.fit.values), frozenset({"none"})
         drive: dict[str, list[FloatArray]] = {}
-        size = float(self.rng.choice(GAPS))
+        size, chosen = float(self.rng.choice(GAPS)), list[Effect]()
         if kind in ("one", "shape", "two"):
             effects = self.rng.choice(len(self.subject.effects), 2 if kind == "two" else 1, replace=False)
             chosen = [self.subject.effects[k] for k in effects]
@@ -224,10 +234,25 @@ class _Maker:
         if kind in ("shape", "unknown"):
             drive = self._function(_MISMATCH * size if kind == "shape" else size)
             truth = truth if kind == "shape" else frozenset({"unknown"})
+        small, background = self._background(chosen)
+        values |= small
         (prediction,) = self.subject.model.predict_driven(values, [drive])
         if isinstance(prediction, SimulationError):
             return None
-        return Plant(self._measured(prediction), truth, self._gap(prediction))
+        return Plant(self._measured(prediction), truth, self._gap(prediction), background)
+
+    def _background(self, chosen: Sequence[Effect]) -> tuple[dict[str, float], frozenset[str]]:
+        """Return the values and the ids of small effects, none of which shares a parameter with another one."""
+        values, ids = dict[str, float](), list[str]()
+        taken = {name for effect in chosen for name in effect.neutral}
+        count, gap = int(self.rng.integers(*_BEHIND, endpoint=True)), float(self.rng.uniform(*_BACKGROUND))
+        for k in self.rng.permutation(len(self.subject.effects)):
+            effect = self.subject.effects[k]
+            if len(ids) < count and effect.usual and not effect.variant and not taken & effect.neutral.keys():
+                taken |= effect.neutral.keys()
+                ids.append(effect.id)
+                values |= self._sized(effect, gap * float(self.rng.uniform(0.5, 1.5)) / np.sqrt(count))
+        return values, frozenset(ids)
 
     def _gap(self, prediction: Prediction) -> float:
         observed = self.subject.observed
@@ -347,10 +372,12 @@ def calibrate(
 ) -> list[Trial]:
     """Diagnose `count` simulated plants; `diagnose` returns a verdict and uncalibrated probabilities."""
     trials = []
-    for k, (plant, truth, gap) in enumerate(simulated_plants(subject, fit, paths, count, seed=seed)):
+    for k, (plant, truth, gap, background) in enumerate(simulated_plants(subject, fit, paths, count, seed=seed)):
         say(f"rehearsing on simulated plant {k + 1} of {count}", k / count)
         verdict, probability = diagnose(plant)
         named = tuple(dict.fromkeys([*verdict.effects, *(n for names in verdict.one_of for n in names)]))
-        weight, right = says(verdict, probability), is_true(verdict, truth)
-        trials.append(Trial(verdict.kind, weight, right, tuple(sorted(truth)), gap, named))
+        weight, right = says(verdict, probability), is_true(verdict, truth, background)
+        trials.append(
+            Trial(verdict.kind, weight, right, tuple(sorted(truth)), gap, named, tuple(sorted(background)))
+        )
     return trials
