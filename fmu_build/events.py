@@ -144,7 +144,9 @@ def relation_groups(system: System, happenings: Events) -> list[int]:
     graph, relations = system.scope.graph, system.scope.relations
     nodes = [r.symbol for r in relations] + [d.symbol for d in happenings.discrete] + system.solution.iterates
     place = {key(symbol): i for i, symbol in enumerate(nodes)}
-    residuals = SX.zeros(1) if not system.solution.residuals else sum(map(abs, system.solution.residuals), SX(0.0))
+    residuals = (
+        SX.zeros(1) if not system.solution.residuals else sum(map(ca.fabs, system.solution.residuals), SX(0.0))
+    )
     values = [system.rewrite(r.difference) for r in relations] + [d.value for d in happenings.discrete]
     values += [residuals] * len(system.solution.iterates)
     needs = [sorted(place[k] for k in graph.symbols(value) if k in place) for value in values]

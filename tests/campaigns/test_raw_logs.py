@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from scipy.io import savemat
 
 from fmuid.cli.app import run
-from fmuid.core.errors import MeasurementsError
+from fmuid.core.errors import FmuidError, MeasurementsError
 from fmuid.core.experiments import Measurements
 from fmuid.core.frames import to_frame
 from fmuid.data.crosscheck_csv import read_csv
@@ -138,3 +140,30 @@ def test_data_frames_are_read_like_csv(tmp_path: Path) -> None:
         assert "'n' in 1/min is read as revolutions per minute (rpm)" in found.notes
         without = read_run(to_frame(columns, library), layout=TableLayout(rate=10.0), name="log")  # type: ignore[arg-type]
         np.testing.assert_allclose(without.table.time, [0, 0.1])
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars", "pyarrow"])
+def test_nulls_dates_and_booleans_of_data_frames(library: str) -> None:
+    dates = [datetime(2026, 1, 1, 0, 0, k, 500, tzinfo=UTC) for k in range(4)]
+    columns: dict[str, object] = {
+        "time": dates,
+        "since": [date - dates[1] for date in dates],
+        "n": [1, None, 3, 4],
+        "on": [True, None, False, True],
+        "text": ["a", None, "b", "c"],
+    }
+    log = read_run(to_frame(columns, library), name="log")  # type: ignore[arg-type]
+    np.testing.assert_array_equal(log.table.time, [0, 1, 2, 3])
+    assert list(log.table.columns) == ["since", "n", "on"]
+    np.testing.assert_array_equal(log.table.columns["since"], [0, 1, 2, 3])
+    np.testing.assert_array_equal(log.table.columns["n"][[0, 2, 3]], [1, 3, 4])
+    np.testing.assert_array_equal(log.table.columns["on"][[0, 2, 3]], [1, 0, 1])
+    assert np.isnan(log.table.columns["n"][1])
+    assert np.isnan(log.table.columns["on"][1])
+    assert "time starts at the first date" in log.notes
+
+
+def test_two_columns_of_one_name_in_a_data_frame_are_refused() -> None:
+    frame = pandas.DataFrame([[0.0, 1.0, 2.0], [1.0, 1.0, 2.0]], columns=["time", "x", "x"])
+    with pytest.raises(FmuidError, match="the data frame has two columns 'x'"):
+        read_run(frame, name="log")

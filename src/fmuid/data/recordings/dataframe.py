@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-import narwhals as nw
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.core.errors import MeasurementsError
 from fmuid.core.frames import columns_of
@@ -31,17 +32,17 @@ def from_frame(frame: Any, run: str, layout: TableLayout) -> Recording:
     others, dates = [], False
     for header, column in columns_of(frame).items():
         name, unit = name_and_unit(header)
-        values, is_time = _numbers(column), name.casefold() in TIMES
+        values, temporal = _numbers(column)
+        is_time = name.casefold() in TIMES
         if values is None:
             if is_time:
                 raise MeasurementsError(
                     f"column '{header}' does not contain times", where=run, fix="write it in s"
                 )
-            elements = _elements(column)
+            elements = _elements(np.asarray(column))
             found |= {f"{name}[{k + 1}]": Column(v, unit) for k, v in enumerate(elements)}
             others += [] if len(elements) else [header]
             continue
-        temporal = column.dtype.is_temporal()
         dates |= temporal and is_time
         found[name] = Column(values, "s" if temporal else unit)
     notes = left_out(others, "not numeric")
@@ -50,20 +51,35 @@ def from_frame(frame: Any, run: str, layout: TableLayout) -> Recording:
     )
 
 
-def _elements(column: nw.Series[Any]) -> FloatArray:
+def _elements(cells: NDArray[Any]) -> FloatArray:
     """Return the (k, N) elements of a column of lists of one length; none if it has another type."""
     try:
-        rows = [np.asarray(cell, dtype=np.float64) for cell in column.to_list()]
+        rows = [np.asarray(cell, dtype=np.float64) for cell in cells]
         return np.stack(rows).T if rows and rows[0].ndim == 1 else np.empty((0, 0))
     except (TypeError, ValueError):
         return np.empty((0, 0))
 
 
-def _numbers(column: nw.Series[Any]) -> FloatArray | None:
-    """Return a column as float64 (N,), dates and durations in s from the first; None if it has another type."""
-    if column.dtype.is_temporal():
-        since = (column - column[0]).dt.total_nanoseconds()
-        return np.asarray(since.cast(nw.Float64).to_numpy(), dtype=np.float64) * 1e-9
-    if not (column.dtype.is_numeric() or column.dtype == nw.Boolean):
-        return None
-    return np.asarray(column.cast(nw.Float64).to_numpy(), dtype=np.float64)
+def _numbers(column: Any) -> tuple[FloatArray | None, bool]:
+    """Return a column as float64 (N,), None if it has another type, and whether it contains dates or durations.
+
+    These become s from the first.
+    """
+    values = np.asarray(column)
+    if values.dtype.kind in "mM":
+        since = values - values[:1]
+        return np.where(np.isnat(since), np.nan, since / np.timedelta64(1, "s")), True
+    if values.dtype != object:
+        return (values.astype(np.float64) if values.dtype.kind in "biuf" and values.ndim == 1 else None), False
+    # Python objects: pandas gives them for time zones, all libraries for Booleans with nulls.
+    null = column.isna() if hasattr(column, "isna") else [value is None for value in values]
+    there = ~np.asarray(null, dtype=bool)
+    found, numbers = values[there], np.full(values.size, np.nan)
+    temporal = found.size > 0 and all(isinstance(value, date | timedelta) for value in found)
+    if temporal:
+        numbers[there] = [(value - found[0]) / timedelta(seconds=1) for value in found]
+    elif found.size > 0 and all(isinstance(value, int | float | np.number | np.bool_) for value in found):
+        numbers[there] = found
+    else:
+        return None, False
+    return numbers, temporal
