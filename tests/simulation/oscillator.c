@@ -5,7 +5,7 @@
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
  * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_CRASHES, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
- * -DBAD=fault (where c > 140), -DCALLS (`count` is of the calls that set, step and get reals in co-simulation), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
+ * -DBAD=fault (where c > 140), -DNOISE=x (of derivatives, as an inner solver leaves it; `count` is of their evaluations) with directional derivatives, -DCALLS (`count` is of the calls that set, step and get reals in co-simulation), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
  */
 #include <math.h>
 #include <signal.h>
@@ -190,6 +190,10 @@ static Status derivatives(Model *s, double dx[])
 {
     if (s->r[X] > s->limit) return say(s, DISCARD, "beyond the limit");
     dx[0] = value(s, DX); dx[1] = value(s, DV);
+#ifdef NOISE
+    s->r[COUNT]++;
+    dx[1] *= 1 + NOISE * sin(1e12 * (s->r[X] + s->r[V]));
+#endif
     return OK;
 }
 static int event(Model *s, int *next_defined, double *next)
@@ -224,6 +228,18 @@ static Status advance(Model *s, double t, double h)
     step(s, h);
     return OK;
 }
+
+#ifdef NOISE
+static Status directional(Model *s, const unsigned a[], size_t n, unsigned b, double x, double y[])
+{
+    for (size_t i = 0; i < n; i++)
+        y[i] = x * (a[i] == DX ? b == V : a[i] == DV ? (b == X ? -s->r[C] : -s->r[D]) / s->r[M] : a[i] == b);
+    return OK;
+}
+#else
+static Status directional(Model *s, const unsigned a[], size_t n, unsigned b, double x, double y[])
+{ (void)s; (void)a; (void)n; (void)b; (void)x; (void)y; return ERROR; }
+#endif
 
 #if FMI == 2
 const char *fmi2GetTypesPlatform(void) { return "default"; }
@@ -277,8 +293,9 @@ ABSENT(fmi2FreeFMUstate, fmi2Component c, fmi2FMUstate *s)
 ABSENT(fmi2SerializedFMUstateSize, fmi2Component c, fmi2FMUstate s, size_t *n)
 ABSENT(fmi2SerializeFMUstate, fmi2Component c, fmi2FMUstate s, fmi2Byte b[], size_t n)
 ABSENT(fmi2DeSerializeFMUstate, fmi2Component c, const fmi2Byte b[], size_t n, fmi2FMUstate *s)
-ABSENT(fmi2GetDirectionalDerivative, fmi2Component c, const fmi2ValueReference a[], size_t n, const fmi2ValueReference b[],
-       size_t m, const fmi2Real x[], fmi2Real y[])
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference a[], size_t n, const fmi2ValueReference b[],
+                                        size_t m, const fmi2Real x[], fmi2Real y[])
+{ (void)m; return directional(c, a, n, b[0], x[0], y); }
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference v[], size_t n, const fmi2Integer o[], const fmi2Real x[])
 {
     if (n != 1 || v[0] != U || o[0] != 1) return ERROR;
@@ -333,5 +350,8 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need, fmi3Boole
     *def = defined;
     return OK;
 }
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference a[], size_t n, const fmi3ValueReference b[],
+                                        size_t m, const fmi3Float64 x[], size_t nx, fmi3Float64 y[], size_t ny)
+{ (void)m; (void)nx; (void)ny; return directional(c, a, n, b[0], x[0], y); }
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean n, fmi3Boolean *e, fmi3Boolean *t) { (void)c; (void)n; *e = *t = 0; return OK; }
 #endif

@@ -92,6 +92,33 @@ def test_a_driven_input_is_taken_from_the_derivative(with_laws):
     np.testing.assert_allclose(Fmu(with_laws).simulate(task, {}), exact(added=4.0), atol=1e-5)
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_directional_derivatives_serve_with_laws_and_their_states(build, tmp_path, fmi):
+    """The FMU's derivatives have an error of 1e-8, which differences would amplify; one law has a state."""
+    laws = [
+        StateLaw("v", "v.drag*v*abs(v)", {"v.drag": 0.0}),
+        StateLaw("v", "v.slow*z", {"v.slow": 0.0}, (State("z", "20*(v - z)"),)),
+    ]
+    added = [Added("v.drag", 0.0), Added("v.slow", 0.0)]
+    fmu = Fmu(build(fmi, ("ModelExchange",), ("NOISE=1e-8",)), "model exchange")
+    write_fmu_with_laws(fmu, laws, added, tmp_path / "Laws.fmu")
+    time, values = np.linspace(0.0, 1.0, 101), {"c": 400.0, "d": 2.0}
+    task = Task(time, {}, ("x", "count"), {"level": -1.0}, tolerance=1e-6)
+    plain = Fmu(tmp_path / "Laws.fmu").simulate(task, values)
+    np.testing.assert_array_equal(plain, fmu.simulate(task, values))
+    sizes = {"v.drag": 0.8, "v.slow": 5.0}
+    x, calls = Fmu(tmp_path / "Laws.fmu").simulate(task, {**values, **sizes})
+
+    def slope(_: float, x: np.ndarray) -> list[float]:
+        a = -400.0 * x[0] - 2.0 * x[1] - 0.8 * x[1] * abs(x[1]) - 5.0 * x[2]
+        return [x[1], a, 20.0 * (x[1] - x[2])]
+
+    reference = solve_ivp(slope, (0.0, 1.0), [0.1, 0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-12).y[0]
+    np.testing.assert_allclose(x, reference, atol=3e-6)
+    assert np.abs(x - plain[0]).max() > 1e-2
+    assert calls[-1] < 20 * len(time)
+
+
 VARYING = {  # a stiffness that grows with the speed, a damping that warms up, and an inertia that grows with time
     "c": CoefficientLaw("c", "p*(1 + c.speed*abs(w2))", {"c.speed": 0.0}),
     "d": CoefficientLaw("d", "p*(1 + d.warmth*heat)", {"d.warmth": 0.0}, (State("heat", "abs(w1) - heat/0.2"),)),

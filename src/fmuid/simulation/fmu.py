@@ -20,6 +20,7 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.core import scratch
 from fmuid.core.campaign import Interface
@@ -192,6 +193,15 @@ class Fmu(Simulator):
         pairs = zip(self._description.states, self._description.derivatives, strict=True)
         return {s: d for pair in pairs for s, d in zip(*(elements[n] for n in pair), strict=True)}
 
+    @functools.cached_property
+    def directional_references(self) -> NDArray[np.uint32] | None:
+        """References of the derivatives, then of the states; None without directional derivatives."""
+        slots = [self._slots[name] for name in (*self.derivatives.values(), *self.states)]
+        given = self._described.directional and len(slots) == 2 * self._description.n_states
+        if not given or any(slot.size != 1 for slot in slots):
+            return None
+        return np.array([slot.reference for slot in slots], dtype=np.uint32)
+
     @property
     def feedthrough(self) -> Mapping[str, frozenset[str]]:
         """The inputs on which each output depends without delay; all inputs if the FMU does not say."""
@@ -354,6 +364,7 @@ class Fmu(Simulator):
                 described=self._description,
                 linear_inputs=self.interpolates_inputs,
                 interface=self._described,
+                directional_references=self.directional_references,
             )
             new = [n for n in (*names, *task.start_values) if n not in self._set_before]
             if new:  # tasks prepared earlier must restore these from now on
@@ -417,7 +428,9 @@ class Fmu(Simulator):
             steps = 1e-5 * np.maximum(np.abs(x).max(axis=0), 1e-6)
             names = [*self.states, *self.derivatives.values(), *task.outputs]
             references = np.array([self._slots[name].reference for name in names], dtype=np.uint32)
-            offered = self._described.directional and all(self._slots[name].size == 1 for name in names)
+            offered = self.directional_references is not None and all(
+                self._slots[n].size == 1 for n in task.outputs
+            )
             f, y, rows = np.zeros((k, n)), np.zeros((k, q)), np.zeros((k, n, n + q))
             self.engage(prepared)
             arrays = (times, x, inputs, steps, references, f, y, rows, np.zeros(3 * n + 2 * q + 1))

@@ -41,6 +41,8 @@ class PreparedTask:
         reset does not do so.
     linear_inputs
         Whether a co-simulation FMU interpolates its inputs (fmi2SetRealInputDerivatives).
+    directional_references
+        References of derivatives and states, if the FMU gives directional derivatives.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class PreparedTask:
         described: FmuDescription,
         linear_inputs: bool,
         interface: DescribedInterface,
+        directional_references: NDArray[np.uint32] | None = None,
     ) -> None:
         self.asked, self.names = task, names
         self.library = library
@@ -93,7 +96,7 @@ class PreparedTask:
         plan.tolerance_defined = task.tolerance is not None
         plan.tolerance = task.tolerance or 0.0
         if library.model_exchange:
-            self._integrate(described, inputs.shape[1])
+            self._integrate(described, inputs.shape[1], directional_references)
         # Sums of time and step size may round up past the last time; the FMU must not refuse that.
         plan.stop = float(np.max(task.time[:-1] + np.diff(task.time)))
         if interface.fixed_step is not None:
@@ -275,7 +278,7 @@ class PreparedTask:
                     f"'{name}' has both a signal and a start value", where=self._where, fix="give one of them"
                 )
 
-    def _integrate(self, described: FmuDescription, n_inputs: int) -> None:
+    def _integrate(self, described: FmuDescription, n_inputs: int, references: NDArray[np.uint32] | None) -> None:
         """Set up the integrator of model_exchange.c."""
         plan, exchange = self.plan, described.model_exchange
         suggested = described.default_experiment.get("tolerance")
@@ -285,6 +288,8 @@ class PreparedTask:
         n, nz = plan.n_states, plan.n_indicators
         plan.work = self._pointer(np.zeros(15 * n + 2 * n * n + 2 * nz + n_inputs + 1))
         plan.pivots = self._pointer(np.zeros(n + 1, dtype=np.int32))
+        if references is not None:
+            plan.derivative_references = self._pointer(references)
 
     def _feed_back(self, feedback: Feedback) -> None:
         """Set up the correction of the states by measured outputs."""

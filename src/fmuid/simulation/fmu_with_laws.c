@@ -56,6 +56,7 @@ typedef struct {
     size_t n_scalars, n_own_inputs, n_law_inputs;
     double *inputs, *slope, *default_parameter, *default_input, time[2], tolerance;
     int32_t *column;
+    uint32_t *directional; /* references of derivatives, then of states, or NULL */
     int initialised, stepped, terminated;
 } Me;
 
@@ -127,14 +128,15 @@ static const char *const NAMES[2][N_FUNCTIONS] = {
      [UPDATE_DISCRETE_STATES] = "NewDiscreteStates", [ENTER_CONTINUOUS_TIME_MODE] = "EnterContinuousTimeMode",
      [COMPLETED_INTEGRATOR_STEP] = "CompletedIntegratorStep", [SET_TIME] = "SetTime",
      [SET_STATES] = "SetContinuousStates", [GET_STATES] = "GetContinuousStates", [GET_DERIVATIVES] = "GetDerivatives",
-     [GET_INDICATORS] = "GetEventIndicators", [GET_NOMINALS] = "GetNominalsOfContinuousStates"},
+     [GET_INDICATORS] = "GetEventIndicators", [GET_NOMINALS] = "GetNominalsOfContinuousStates",
+     [GET_DIRECTIONAL_DERIVATIVE] = "GetDirectionalDerivative"},
     {[RESET] = "Reset", [ENTER_INITIALIZATION] = "EnterInitializationMode",
      [EXIT_INITIALIZATION] = "ExitInitializationMode", [TERMINATE] = "Terminate", [ENTER_EVENT_MODE] = "EnterEventMode",
      [UPDATE_DISCRETE_STATES] = "UpdateDiscreteStates", [ENTER_CONTINUOUS_TIME_MODE] = "EnterContinuousTimeMode",
      [COMPLETED_INTEGRATOR_STEP] = "CompletedIntegratorStep", [SET_TIME] = "SetTime",
      [SET_STATES] = "SetContinuousStates", [GET_STATES] = "GetContinuousStates",
      [GET_DERIVATIVES] = "GetContinuousStateDerivatives", [GET_INDICATORS] = "GetEventIndicators",
-     [GET_NOMINALS] = "GetNominalsOfContinuousStates"},
+     [GET_NOMINALS] = "GetNominalsOfContinuousStates", [GET_DIRECTIONAL_DERIVATIVE] = "GetDirectionalDerivative"},
 };
 
 static int read_all(Me *me, FILE *file)
@@ -143,7 +145,7 @@ static int read_all(Me *me, FILE *file)
     char text[LONGEST], path[2 * LONGEST];
     int fmi, completed;
     size_t n_states, n_indicators;
-    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "3") || !read_line(file, "library", text) ||
+    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "4") || !read_line(file, "library", text) ||
         !read_line(file, "name", me->name) || !read_line(file, "token", me->token))
         return 0;
     snprintf(path, sizeof path, "%s/contained/%s", me->resources, text);
@@ -170,6 +172,11 @@ static int read_all(Me *me, FILE *file)
     me->column = calloc(plan->n_inputs + 1, sizeof(int32_t));
     if (!me->scalar || !me->input_group || !me->inputs || !me->slope || !me->column) return 0;
     for (size_t j = 0; j < plan->n_inputs; j++) me->column[j] = (int32_t)j;
+    int given;
+    if (fscanf(file, "%d", &given) != 1) return 0;
+    if (given && !(me->directional = calloc(2 * n_states + 1, sizeof *me->directional))) return 0;
+    for (size_t i = 0; given && i < 2 * n_states; i++)
+        if (fscanf(file, "%" SCNu32, me->directional + i) != 1) return 0;
     for (size_t i = 0; i < me->n_scalars; i++) {
         if (!read_scalar(me, me->scalar + i, file)) return 0;
         if (me->scalar[i].input >= 0) {
@@ -332,7 +339,7 @@ API void fmi2FreeInstance(void *c)
     for (size_t i = 0; me->scalar && i < me->n_scalars; i++) free(me->scalar[i].set.buffer);
     free_laws(&me->run.laws);
     free(me->run.plan.work), free(me->run.plan.pivots), free(me->scalar), free(me->input_group), free(me->inputs);
-    free(me->slope), free(me->column), free(me->default_parameter), free(me->default_input), free(me->label), free(me->resources), free(me);
+    free(me->slope), free(me->column), free(me->directional), free(me->default_parameter), free(me->default_input), free(me->label), free(me->resources), free(me);
 }
 
 API void *fmi2Instantiate(const char *label, int type, const char *guid, const char *location, const Callbacks *callbacks,
@@ -449,6 +456,7 @@ API int fmi2ExitInitializationMode(void *c)
     plan->n_states = me->run.laws.n_states + (me->run.n_added = activate_laws(&me->run.laws));
     plan->reached = -1, plan->reached_time = me->time[0], plan->n_slopes = 0, plan->n_slope_groups = 0;
     memset(plan->work, 0, plan->n_states * sizeof(double));
+    plan->derivative_references = me->directional;
     if (look_for_coefficients(me) != OK) return ERROR;
     int32_t found = begin_model_exchange(plan);
     plan->reached = 0;

@@ -13,7 +13,7 @@ import math
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
@@ -138,6 +138,7 @@ def _library() -> Path:
     return Path(spec.origin)
 
 
+@cache
 def carrier_version() -> str:
     """Return a digest of the library in FMUs with laws, which tells those of other versions apart."""
     return hashlib.sha256(_library().read_bytes()).hexdigest()
@@ -193,6 +194,7 @@ class _Contents:
             fmu.version, int(exchange.needs_completed_step), described.n_states, described.n_indicators,
             len(self._scalars), len(self._inputs), len(self._law_inputs), bits(tolerance),
         )  # fmt: skip
+        references = fmu.directional_references
         columns = {name: i for i, name in enumerate(self._inputs)}
         scalars = [
             f"{s.suffix} {s.storage} {s.reference} {s.size} {s.element} {columns.get(v.name, -1)}"
@@ -200,11 +202,12 @@ class _Contents:
         ]
         return "\n".join(
             [
-                "fmuid-laws 3",
+                "fmuid-laws 4",
                 f"library binaries/{library_name(fmu.version, exchange.identifier).as_posix()}",
                 f"name {described.name}",
                 f"token {described.token}",
                 " ".join(map(str, numbers)),
+                " ".join(map(str, (0 if references is None else 1, *(() if references is None else references)))),
                 *scalars,
                 f"{len(self._parameters)} {sum(len(law.states) for law in self.laws)} {len(self.laws)}",
                 " ".join(map(str, (len(self._coefficients), *self._coefficients.values()))),

@@ -74,6 +74,14 @@ static Point point(const Plan *plan, const double *input, double t, const double
 
 size_t added_states(const Plan *plan) { return ((const PlanWithLaws *)plan)->n_added; }
 
+bool parameters_vary(const Plan *plan)
+{
+    const Laws *laws = &((const PlanWithLaws *)plan)->laws;
+    for (size_t i = 0; i < laws->n_coefficients; i++)
+        if (laws->coefficient[i].active) return true;
+    return false;
+}
+
 /* Derivatives of the instances of a coefficient at a point. */
 static int32_t look_aside(Plan *plan, const Coefficient *coefficient, const Point *at)
 {

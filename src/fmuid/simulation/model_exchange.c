@@ -3,7 +3,7 @@
  * Method: RODAS, a linearly implicit (Rosenbrock) pair of orders 4 and 3 in six stages, L-stable and stiffly accurate,
  * with a dense output of order 3 (Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.7). A
  * one-step method, because held inputs jump at every communication point and restart a multistep one. The Jacobian
- * comes from forward differences. State events are bracketed on the dense output by bisection.
+ * consists of the FMU's directional derivatives where it gives them, else of forward differences. State events are bracketed on the dense output by bisection.
  */
 #include "stepper.h"
 
@@ -83,10 +83,17 @@ static int32_t set_point(Plan *plan, const Work *w, size_t k, double t, const do
     return DONE;
 }
 
-static int32_t derivatives(Plan *plan, const Work *w, size_t k, double t, const double *x, double *f)
+/* Without laws. */
+static int32_t own_derivatives(Plan *plan, const Work *w, size_t k, double t, const double *x, double *f)
 {
     TRY(set_point(plan, w, k, t, x));
     CALL(GET_DERIVATIVES, int32_t (*)(Instance, double *, size_t), plan->instance, f, own_states(plan));
+    return DONE;
+}
+
+static int32_t derivatives(Plan *plan, const Work *w, size_t k, double t, const double *x, double *f)
+{
+    TRY(own_derivatives(plan, w, k, t, x, f));
     TRY(add_laws(plan, w->input, t, x, f));
     return DONE;
 }
@@ -190,18 +197,46 @@ static void solve(const double *m, const int32_t *pivots, size_t n, double *b)
     }
 }
 
+/* Column j of df/dx by the FMU's directional derivatives, and differences of the laws: false if it does not give them.
+ * `before` are its derivatives without laws; w->trial is moved along state j. */
+static bool column_given(Plan *plan, const Work *w, double t, size_t j, double moved, const double *before)
+{
+    const size_t n = plan->n_states, own = own_states(plan);
+    const uint32_t *references = plan->derivative_references;
+    double *column = w->end, *shifted = w->f_time; /* not in use yet */
+    memset(column, 0, n * sizeof(double));
+    if (j < own && !directional(plan, references, own, references[own + j], column)) return false;
+    for (size_t i = 0; i < n; i++) shifted[i] = w->f_moved[i] = (i < own ? before[i] : 0) + moved * column[i];
+    if (add_laws(plan, w->input, t, w->trial, shifted) != DONE) return false;
+    for (size_t i = 0; i < n; i++) {
+        double laws = w->f[i] - (i < own ? before[i] : 0);
+        w->jacobian[i * n + j] = column[i] + (shifted[i] - w->f_moved[i] - laws) / moved;
+    }
+    return true;
+}
+
 /* f, df/dx and df/dt at the start of a step. */
 static int32_t linearise(Plan *plan, const Work *w, size_t k, double t, double h)
 {
     size_t n = plan->n_states;
-    TRY(derivatives(plan, w, k, t, w->x, w->f));
+    double *before = w->dense1;
+    TRY(own_derivatives(plan, w, k, t, w->x, w->f));
+    memcpy(before, w->f, own_states(plan) * sizeof(double));
+    TRY(add_laws(plan, w->input, t, w->x, w->f));
     memcpy(w->trial, w->x, n * sizeof(double));
+    bool given = plan->derivative_references && !parameters_vary(plan);
     for (size_t j = 0; j < n; j++) {
         double scale = fmax(fabs(w->x[j]), 1e-3 * w->nominal[j]);
         w->trial[j] = w->x[j] + 1.5e-8 * scale;
         double moved = w->trial[j] - w->x[j];
-        TRY(derivatives(plan, w, k, t, w->trial, w->f_moved));
-        for (size_t i = 0; i < n; i++) w->jacobian[i * n + j] = (w->f_moved[i] - w->f[i]) / moved;
+        if (given && !column_given(plan, w, t, j, moved, before)) {
+            given = false; /* and is not asked again */
+            plan->derivative_references = NULL;
+        }
+        if (!given) {
+            TRY(derivatives(plan, w, k, t, w->trial, w->f_moved));
+            for (size_t i = 0; i < n; i++) w->jacobian[i * n + j] = (w->f_moved[i] - w->f[i]) / moved;
+        }
         w->trial[j] = w->x[j];
     }
     double moved_time = t + 1e-4 * h, moved = moved_time - t;

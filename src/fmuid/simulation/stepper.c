@@ -350,19 +350,6 @@ int32_t fmuid_run(Plan *plan, int32_t resume, double slice)
     return DONE;
 }
 
-/* Derivatives by state j of what `references` name, the derivatives and outputs: false if the FMU does not give them. */
-static bool directional(Plan *plan, const uint32_t *references, size_t n, uint32_t state, double *to)
-{
-    void *function = plan->function[GET_DIRECTIONAL_DERIVATIVE];
-    const double one = 1;
-    if (!function) return false;
-    if (plan->fmi == 2)
-        return ((int32_t (*)(Instance, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *))function)(
-                   plan->instance, references, n, &state, 1, &one, to) <= 1;
-    return ((int32_t (*)(Instance, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t, double *,
-                         size_t))function)(plan->instance, references, n, &state, 1, &one, 1, to, n) <= 1;
-}
-
 /* At n points of a run for model exchange, which is only begun: derivatives f and outputs y, one row for a point, and their derivatives by the states, `slope`
  * (points, states, derivatives and outputs), unless NULL. `references` are those of states, derivatives and outputs if the FMU offers
  * directional derivatives, else NULL, and differences are taken over `steps` of the states. */

@@ -79,6 +79,7 @@ typedef struct {
     /* model exchange: see model_exchange.c */
     double *work;
     int32_t *pivots;
+    const uint32_t *derivative_references; /* of derivatives, then of states, for the FMU's directional derivatives; NULL: differences */
     double step_size;
     double next_event;
     int32_t next_event_defined;
@@ -174,6 +175,19 @@ static inline int32_t derivatives_at(Plan *plan, const double *input, double t, 
     return DONE;
 }
 
+/* Derivatives of what `references` name by a state, at the point that is set: false if the FMU does not give them. */
+static inline bool directional(Plan *plan, const uint32_t *references, size_t n, uint32_t state, double *to)
+{
+    void *function = plan->function[GET_DIRECTIONAL_DERIVATIVE];
+    const double one = 1;
+    if (!function) return false;
+    if (plan->fmi == 2)
+        return ((int32_t (*)(Instance, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *))function)(
+                   plan->instance, references, n, &state, 1, &one, to) <= 1;
+    return ((int32_t (*)(Instance, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t, double *,
+                         size_t))function)(plan->instance, references, n, &state, 1, &one, 1, to, n) <= 1;
+}
+
 int32_t get_values(Plan *plan, double *row);
 int32_t enter_initialisation(Plan *plan);
 int32_t do_step(Plan *plan, size_t k);
@@ -186,10 +200,12 @@ int32_t feed_back(Plan *plan, size_t k);
 /* Laws that are added to the derivatives of model exchange: laws.c, in the library of FMUs with laws; the stepper has none. */
 #ifdef FMUID_WITH_LAWS
 size_t added_states(const Plan *plan); /* of plan->n_states, the last ones */
+bool parameters_vary(const Plan *plan); /* then the FMU's own directional derivatives are not those of the model */
 int32_t add_laws(Plan *plan, const double *input, double t, const double *x, double *f);
 void start_laws(const Plan *plan, const double *input, double t, double *x);
 #else
 #define added_states(plan) ((void)(plan), (size_t)0)
+#define parameters_vary(plan) ((void)(plan), false)
 #define add_laws(plan, input, t, x, f) DONE
 #define start_laws(plan, input, t, x) ((void)0)
 #endif

@@ -151,6 +151,7 @@ class Plan(ctypes.Structure):
         ("n_measured", c_size_t),
         ("work", c_void_p),
         ("pivots", c_void_p),
+        ("derivative_references", c_void_p),
         ("step_size", c_double),
         ("next_event", c_double),
         ("next_event_defined", c_int32),
