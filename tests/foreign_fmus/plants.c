@@ -1,4 +1,4 @@
-/* Five models as FMUs for model exchange, FMI 2.0 or 3.0 (-DFMI=2|3), written by hand: a drive, a house, a circuit, two tanks,
+/* Six models as FMUs for model exchange, FMI 2.0 or 3.0 (-DFMI=2|3), written by hand: a drive, a house, a circuit, two tanks, a vessel
  * and a rod, whose states, and their derivatives, are one array (FMI 3.0).
  * Value references are places in `r`: inputs and parameters as plants.py lists them, then states, then their derivatives. */
 #include <math.h>
@@ -23,6 +23,9 @@ static const double START[KNOWN + STATES] = {0, 1e-2, 2, 1e-3, 20, 0, 0};
 enum { KNOWN = 5, STATES = 3 };
 #define ARRAYS 1
 static const double START[KNOWN + STATES] = {0, 60, 0.8, 0.3, 293, 293, 293, 293};
+#elif defined VESSEL /* inflow; capacity, leak; pressure */
+enum { KNOWN = 3, STATES = 1 };
+static const double START[KNOWN + STATES] = {0, 0.5, 0.3, 1};
 #else /* inflow; areas and outlets of two tanks; levels */
 enum { KNOWN = 5, STATES = 2 };
 static const double START[KNOWN + STATES] = {0, 0.02, 0.015, 1.2e-3, 1e-3, 0.3, 0.25};
@@ -51,6 +54,8 @@ static void evaluate(Model *m)
 #elif defined ROD
     double left = k[2] * (X(0) - X(1)), right = k[2] * (X(1) - X(2));
     DX(0) = (k[0] - left) / k[1], DX(1) = (left - right) / k[1], DX(2) = (right - k[3] * (X(2) - k[4])) / k[1];
+#elif defined VESSEL
+    DX(0) = (k[0] - k[2] * X(0)) / k[1];
 #else
     double between = k[3] * sqrt(fmax(X(0), 0));
     DX(0) = (k[0] - between) / k[1], DX(1) = (between - k[4] * sqrt(fmax(X(1), 0))) / k[2];

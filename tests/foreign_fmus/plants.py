@@ -56,6 +56,10 @@ def _tank(x, u, p):
     return np.array([(u[0] - between) / p[0], (between - p[3] * np.sqrt(max(x[1], 0.0))) / p[1]])
 
 
+def _vessel(x, u, p):
+    return np.array([(u[0] - p[1] * x[0]) / p[0]])
+
+
 def _rod(x, u, p):
     left, right = p[1] * (x[0] - x[1]), p[1] * (x[1] - x[2])
     return np.array([u[0] - left, left - right, right - p[2] * (x[2] - p[3])]) / p[0]
@@ -118,6 +122,19 @@ PLANTS = {
         lambda t, k: np.array([6e-4 + 3e-4 * _steps(t, k, 40.0)]),
         (5e-4, 5e-4),
         (0, 1),
+    ),
+    "VESSEL": Plant(
+        {"q": "m3/s"},
+        {"C": "m3/Pa", "leak": "m3/(s.Pa)"},
+        {"p": "Pa"},
+        (0.5, 0.3),
+        (1.0,),
+        (0.52, 0.33),
+        _vessel,
+        8.0,
+        lambda t, k: np.array([2.2 * (1 + _steps(t, k, 1.0))]),
+        (0.01,),
+        (0,),
     ),
     "ROD": Plant(
         {"P_heat": "W"},

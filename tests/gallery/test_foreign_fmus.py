@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fmuid import diagnose
+from fmuid import Task, diagnose
 from fmuid.cli.app import run
+from fmuid.diagnosis.diagnose import Found
 from fmuid.simulation.fmu import load_fmu
 from tests.foreign_fmus.plants import PLANTS, Gap, plant_fmu, write_logs
 from tests.reference.plain_fmpy import simulate_fmu
@@ -35,6 +37,19 @@ def campaign_of(name: str, folder: Path, **sizes: int) -> Path:
     return folder / "campaign"
 
 
+def assert_same_predictions(found: Found, fmu: Path) -> None:
+    """The corrected FMU predicts in FMPy, and here, what was fitted."""
+    corrected, values = load_fmu(fmu), found.corrected.fit.values
+    assert corrected.interface == "co-simulation"
+    for case in found.subject.model.cases:
+        own = {n: v for n, v in values.items() if n in case.simulator.variables}
+        fitted = case.simulator.simulate(case.task, own)
+        assert np.ptp(fitted) > 0.1
+        np.testing.assert_array_equal(corrected.simulate(case.task, {}), fitted)
+        tolerance = case.task.tolerance or 1e-6
+        np.testing.assert_allclose(simulate_fmu(fmu, case.task, {}, tolerance), fitted, atol=1e-9)
+
+
 def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path):
     campaign = campaign_of("CIRCUIT", tmp_path, runs=3, samples=150)
     found = diagnose(campaign, out=tmp_path / "out")
@@ -42,17 +57,9 @@ def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path
     values = found.corrected.fit.values
     assert values["i.voltage_drop"] == pytest.approx(60, rel=0.02)
     corrected = load_fmu(tmp_path / "out" / "corrected" / "Circuit2.fmu")
-    assert corrected.interface == "co-simulation"
     laws = [n for n in corrected.variables if n.startswith("i.")]
     assert laws == ["i.voltage_drop", "i.voltage_drop_width"]  # and no law that was only tried
-    for case in found.subject.model.cases:
-        fitted = case.simulator.simulate(
-            case.task, {n: v for n, v in values.items() if n in case.simulator.variables}
-        )
-        assert np.ptp(fitted) > 0.1
-        np.testing.assert_array_equal(corrected.simulate(case.task, {}), fitted)
-        tolerance = case.task.tolerance or 1e-6
-        np.testing.assert_allclose(simulate_fmu(corrected.path, case.task, {}, tolerance), fitted, atol=1e-9)
+    assert_same_predictions(found, corrected.path)
     assert run(["check", str(tmp_path / "out" / "corrected"), "--quiet"]) == 0
 
 
@@ -60,9 +67,9 @@ def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path
 @pytest.mark.parametrize("name", ["DRIVE", "HOUSE", "TANK"])
 def test_laws_of_every_domain_are_found(tmp_path, name):
     campaign = campaign_of(name, tmp_path)
-    assert run(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert found["verdict"]["effects"] == [RIGS[name][2]]
+    found = diagnose(campaign, out=tmp_path / "out")
+    assert found.diagnosis.verdict.effects == (RIGS[name][2],)
+    assert_same_predictions(found, tmp_path / "out" / "corrected" / f"{name.title()}{RIGS[name][0]}.fmu")
 
 
 @pytest.mark.slow
@@ -76,11 +83,24 @@ def test_a_resistance_that_varies_is_found_and_its_fmu_predicts_what_was_fitted(
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
     found = diagnose(tmp_path / "campaign", out=tmp_path / "out")
     assert found.diagnosis.verdict.effects == ("varies@R(i)",)
-    corrected = load_fmu(tmp_path / "out" / "corrected" / "Circuit3.fmu")
-    values = found.corrected.fit.values
-    for case in found.subject.model.cases:
-        own = {n: v for n, v in values.items() if n in case.simulator.variables}
-        fitted = case.simulator.simulate(case.task, own)
-        np.testing.assert_array_equal(corrected.simulate(case.task, {}), fitted)
-        tolerance = case.task.tolerance or 1e-6
-        np.testing.assert_allclose(simulate_fmu(corrected.path, case.task, {}, tolerance), fitted, atol=1e-9)
+    assert_same_predictions(found, tmp_path / "out" / "corrected" / "Circuit3.fmu")
+
+
+@pytest.mark.slow
+def test_an_equation_is_found_at_a_state_and_its_fmu_predicts_what_was_fitted(tmp_path):
+    """What leaks at high pressure grows with its power of 1.5, which no law of the catalogue does."""
+    fmu = plant_fmu("VESSEL", tmp_path, 3)
+    lacking = Gap(lambda x, z: np.array([-0.8 * x[0] ** 1.5]))
+    logs = write_logs("VESSEL", lacking, tmp_path / "logs", runs=3, samples=160)
+    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
+    assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    law = found["law_found"]
+    assert (found["verdict"]["kind"], law["port"]) == ("unknown", "der(p)")
+    largest = float(re.match(r"[\d.]+ Pa.s-1 \* \(p/([\d.]+)\)\*sqrt\(abs", law["formula"])[1])
+    assert float(law["formula"].split()[0]) == pytest.approx(0.8 * largest**1.5, rel=0.05)
+    assert found["corrected_differs"] < 1e-9
+    fmu = load_fmu(tmp_path / "out" / "corrected" / "Vessel3.fmu")
+    time = np.linspace(0.0, 8.0, 81)
+    task = Task(time, {"q": 2.2 + 0 * time}, ("p",), tolerance=1e-8)
+    np.testing.assert_allclose(simulate_fmu(fmu.path, task, {}, 1e-8), fmu.simulate(task, {}), atol=1e-9)

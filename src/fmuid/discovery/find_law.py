@@ -9,7 +9,6 @@ import numpy as np
 
 from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
-from fmu_build.model_ports import find_ports
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.progress import Say, quiet
@@ -23,11 +22,11 @@ from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
 from fmuid.discovery.injected import Law, entry, free_name, of_second_order, with_laws
-from fmuid.discovery.places import Spot, spot
+from fmuid.discovery.places import Spot, inside_of, names_of_places, spot
 from fmuid.discovery.selection import Chosen, Proposal, choose, instead
 from fmuid.discovery.terms import HIDDEN, evaluated, names_in
 from fmuid.effects.effect import Effect
-from fmuid.simulation.model_source import flat_model
+from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Simulator
 
 CLOSURE_THAT_HOLDS = 0.8  # share of the held-out gap that a law must close to count as found
@@ -78,7 +77,7 @@ def find_law(
     Parameters
     ----------
     models
-        Models by setup; those with Modelica source can contain a law.
+        Models by setup; those with Modelica source, and FMUs for model exchange, can contain a law.
     load
         Loads a model.
     say
@@ -90,16 +89,18 @@ def find_law(
     effect = verdict.kind == "effect"
     if verdict.kind not in ("unknown", "partial") and not (effect and verdict.rest is not None):
         return None
-    flats = flat_models(subject, models)
-    if flats is None:
-        return _none("the campaign names no Modelica source of its model, so no law can be added to it")
+    insides = insides_of(subject, models)
+    if insides is None:
+        return _none(
+            "a model has neither Modelica source nor an FMU for model exchange, so no law can be added to it"
+        )
     noise = noise_draws(subject, found.nominal, seed)
     named = () if verdict.kind == "unknown" else found.surviving[:1]
     if named and not found.entered:  # the verdict did not need it
         found = replace(found, entered=where_it_enters(subject, named[0]))
     reasons = []
     for base in (found.nominal, *named):  # instead of the effects that explain a part, then in addition to them
-        search = _Search(found, base, models, load, flats, noise, seed)
+        search = _Search(found, base, models, load, insides, noise, seed)
         try:
             best, reason = search.best(say)
             if effect and best is not None and not decide.worth_adding(named[0], best.fitted):
@@ -113,11 +114,11 @@ def find_law(
     return _none("; ".join(reasons))
 
 
-def flat_models(subject: Subject, models: Mapping[str, ModelSpec]) -> dict[str, FlatModel] | None:
-    """Return the flat model of every setup; None if one has no Modelica source."""
-    setups = {case.setup for case in subject.model.cases}
-    found = {s: flat_model(source) for s in setups if s in models and (source := models[s].source) is not None}
-    return found if set(found) == setups else None
+def insides_of(subject: Subject, models: Mapping[str, ModelSpec]) -> dict[str, FlatModel | Fmu] | None:
+    """Return the source of every setup, or its FMU for model exchange; None if one has neither."""
+    setups = dict.fromkeys(case.setup for case in subject.model.cases)
+    found = {s: inside for s in setups if s in models and (inside := inside_of(models[s])) is not None}
+    return found if len(found) == len(setups) else None
 
 
 def noise_draws(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
@@ -159,7 +160,7 @@ class _Search:
     base: Fitted
     models: Mapping[str, ModelSpec]
     load: Callable[[ModelSpec], Simulator]
-    flats: Mapping[str, FlatModel]
+    insides: Mapping[str, FlatModel | Fmu]
     noise: NoiseDraws
     seed: int
 
@@ -194,19 +195,19 @@ class _Search:
 
     def along(self, law: Candidate) -> Spot:
         """Return the place of a law with its quantities along the trajectories of the model with the law."""
-        name, flat = law.law.spot.port.name, next(iter(self.flats.values()))
-        return spot(name, flat, law.subject.model, law.fitted.fit.values) or law.law.spot
+        name, inside = law.law.spot.port.name, next(iter(self.insides.values()))
+        return spot(name, inside, law.subject.model, law.fitted.fit.values) or law.law.spot
 
     def spots(self) -> list[Spot]:
         """Return the candidate places that can carry a law, the likeliest first."""
         found, subject = self.found, self.found.subject
         ports = subject.catalogue.ports
         asked = sorted(found.entered, key=lambda port: -found.entered[port].evidence)
-        here = set.intersection(*({p.name for p in find_ports(flat)} for flat in self.flats.values()))
+        here = set.intersection(*map(names_of_places, self.insides.values()))
         names = [n for n in asked if n in here and n in ports and ports[n].added and ports[n].input is not None]
-        flat = next(iter(self.flats.values()))
+        inside = next(iter(self.insides.values()))
         values = self.base.fit.values
-        return [s for n in names[:_PLACES] if (s := spot(n, flat, subject.model, values)) is not None]
+        return [s for n in names[:_PLACES] if (s := spot(n, inside, subject.model, values)) is not None]
 
     def extended(self, law: Candidate | None, spots: Sequence[Spot]) -> Candidate | None:
         """Return the best law with a further term (one or two, if there is no law yet), if it is worth it."""
@@ -227,8 +228,8 @@ class _Search:
         part, again = refitted_early(self.found.subject, self.base)
         if again is None:
             return []
-        noise, flat = noise_draws(part, again, self.seed), next(iter(self.flats.values()))
-        own = [spot(s.port.name, flat, part.model, again.fit.values) for s in spots]
+        noise, inside = noise_draws(part, again, self.seed), next(iter(self.insides.values()))
+        own = [spot(s.port.name, inside, part.model, again.fit.values) for s in spots]
         chosen = [c for s in own if s is not None for c in choose(part, again.fit, s, noise)]
         return self._refitted(None, _likeliest(chosen))
 
@@ -342,7 +343,7 @@ class _Search:
     def named(self, law: Candidate) -> Candidate:
         """Return a law with its final names."""
         values, spot = law.fitted.fit.values, law.law.spot
-        name = free_name(self.flats.values(), spot.port.name, "law")
+        name = free_name(self.insides.values(), spot.port.name, "law")
         final = replace(law.law, spot=self.along(law), base=f"{spot.port.name}.{name}")
         before = {u.name: values[u.name] for u in law.effect.unknowns}
         after = final.effect("", "").unknowns
@@ -401,4 +402,4 @@ def curve(law: Law, values: Mapping[str, float]) -> Curve:
             own[HIDDEN] = np.full(_POINTS, used[HIDDEN])
         flow = flow + values[size] * evaluated(term.text, columns | own)
     words = ", ".join(f"{n} = {v:.3g}" for n, v in used.items())
-    return Curve(x.name, x.unit, law.spot.port.units[1], tuple(map(float, grid)), tuple(map(float, flow)), words)
+    return Curve(x.name, x.unit, law.spot.unit, tuple(map(float, grid)), tuple(map(float, flow)), words)

@@ -28,17 +28,15 @@ from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
 from fmuid.diagnosis.scores import nominal_basis
 from fmuid.diagnosis.subject import Subject, tightened
-from fmuid.diagnosis.variants import model_exchange
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement
 from fmuid.discovery.find_law import noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
-from fmuid.discovery.places import Spot, spot, spot_at_state
+from fmuid.discovery.places import Spot, inside_of, spot
 from fmuid.discovery.selection import DRIVEN, Chosen
 from fmuid.discovery.terms import Quantity, Term, table
 from fmuid.effects.effect import Effect
 from fmuid.effects.quantities import quantity_words
 from fmuid.simulation.fmu import Fmu
-from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.simulator import Simulator
 
 _KNOTS = (3, 5, 9)  # of a table over one variable; each set halves the distances of the one before
@@ -104,7 +102,7 @@ def tabulate(
     if finished or not found.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
         return None
     setups = dict.fromkeys(case.setup for case in subject.model.cases)
-    inside = [_inside(models[s]) for s in setups if s in models]
+    inside = [inside_of(models[s]) for s in setups if s in models]
     if len(inside) < len(setups) or None in inside or inside[0] is None:
         return None
     null = noise_draws(subject, found.nominal, seed).null(nominal_basis(found.nominal.fit, subject.observed), ())
@@ -203,8 +201,6 @@ class _Search:
 
     def _along(self, name: str, subject: Subject, values: Mapping[str, float]) -> Spot | None:
         """Return a place with all quantities along the trajectories of a model."""
-        if isinstance(self.inside, Fmu):
-            return spot_at_state(name, self.inside, subject.model, values)
         return spot(name, self.inside, subject.model, values)
 
     def _over_one(self, place: Spot, over: Sequence[Quantity]) -> Iterator[_Proposed]:
@@ -343,7 +339,7 @@ class _Search:
             units=tuple(q.unit for q in built.over),
             knots=tuple(tuple(map(float, k)) for k in built.knots),
             values=sizes.tolist(),
-            unit=port.units[1],
+            unit=built.law.spot.unit,
             entry=entry(effect),
         )
         return Tabulated(effect, subject, fitted, replace(best, refinements=(refinement,)))
@@ -365,11 +361,6 @@ class _Search:
         words = quantity_words(place.port.domain, place.port.units[0])
         signals = {c.variable: c.signal for case in self.found.subject.model.cases for c in case.channels}
         return words.get(x.name) or signals.get(x.name, x.name)
-
-
-def _inside(model: ModelSpec) -> FlatModel | Fmu | None:
-    """Return a model's source, or its FMU for model exchange; None if it has neither."""
-    return model_exchange(model) if model.source is None else flat_model(model.source)
 
 
 def _better(before: Fitted, after: Fitted) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +10,15 @@ import numpy as np
 from fmu_build.domains import MECHANICAL
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import Port, find_ports
+from fmuid.core.campaign import ModelSpec
+from fmuid.core.errors import ProblemError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.variants import observed_states, state_places
-from fmuid.discovery.terms import Kind, Quantity, Term, library
+from fmuid.diagnosis.variants import model_exchange, observed_states, state_places
+from fmuid.discovery.terms import HIDDEN, SHAPES, Kind, Quantity, Term, library, names_in
 from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
 from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.model_source import flat_model
 
 TIME = "time"
 _OTHERS = 6  # variables away from a place that its laws may use
@@ -52,9 +55,35 @@ class Spot:
     quantities: tuple[Quantity, ...] = ()
     own: tuple[str, ...] = ()
 
+    @property
+    def unit(self) -> str:
+        """Unit of what a law adds: a flow, or at the derivative of a current a drop of potential."""
+        return self.port.units[0 if self.port.kind == "loop" else 1]
 
-def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
-    """Return a place with its quantities along the trajectories at `values`; None if nothing moves or flows."""
+
+def inside_of(model: ModelSpec) -> FlatModel | Fmu | None:
+    """Return a model's source, or its FMU for model exchange; None if it has neither."""
+    return model_exchange(model) if model.source is None else flat_model(model.source)
+
+
+def names_of_places(inside: FlatModel | Fmu) -> set[str]:
+    """Return the names of the places of a model, at ports or at states."""
+    if isinstance(inside, Fmu):
+        return {f"der({state})" for state in inside.states}
+    return {port.name for port in find_ports(inside)}
+
+
+def spot(name: str, inside: FlatModel | Fmu, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
+    """Return a place with its quantities along the trajectories at `values`; None if nothing moves or flows.
+
+    `inside` is the model's source, or its FMU for model exchange, whose places are at states.
+    """
+    if isinstance(inside, Fmu):
+        return _at_state(name, inside, model, values)
+    return _at_port(name, inside, model, values)
+
+
+def _at_port(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
     ports = {port.name: port for port in find_ports(flat)}
     port = ports.get(name)
     if port is None or port.kind not in ("node", "branch"):
@@ -84,22 +113,38 @@ def spot(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[str, 
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
     own = _quantities(port, courses)
     inputs = [q for n in free_inputs if (q := _quantity(n, n, units.get(n, "1"), courses)) is not None]
-    time = tuple(case.time for case in model.cases)
-    here = [q.name for q in (*own, *inputs)]
-    shared = [n for n in dict.fromkeys((*here, *around[0])) if all(n in one for one in around)]
-    around = [{n: one[n] for n in shared} for one in around]
     potential, flow = port.units
-    units |= {n: unit for n, (unit, _) in model.cases[0].columns.items()}
-    units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow, TIME: "s"}
-    every = [q for n in shared if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
-    quantities = _apart([q for q in every if q.name != TIME], around)
+    units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow}
     near = {
         n for p in _neighbours(port, [*ports.values()]) for kind in ("p", "rate") for n in p.probes.get(kind, ())
     }
-    near |= {TIME, *model.cases[0].columns, *(c.variable for case in model.cases for c in case.channels)}
-    away = [_from_start(q, around) for q in _apart(every, around) if q.name in near.difference(here)]
-    terms = _distinct(library(own, inputs, time, away[:_OTHERS]), around, time)
-    return Spot(port, max(flows), tuple(around), time, tuple(terms), tuple(quantities), tuple(here))
+    near |= {c.variable for case in model.cases for c in case.channels}
+    bare = Spot(port, max(flows), tuple(around), (), ())
+    return _with_terms(bare, model, (own, inputs), near, units)
+
+
+def _with_terms(
+    spot: Spot,
+    model: CampaignModel,
+    here: tuple[Sequence[Quantity], Sequence[Quantity]],
+    near: Set[str],
+    units: Mapping[str, str],
+) -> Spot:
+    """Return a place with times, and what a law or table there may contain.
+
+    `here` are quantities at the place, and inputs; `near` are variables elsewhere that a law there may use.
+    """
+    time, columns = tuple(case.time for case in model.cases), model.cases[0].columns
+    names = tuple(q.name for part in here for q in part)
+    shared = [n for n in dict.fromkeys((*names, *spot.courses[0])) if all(n in one for one in spot.courses)]
+    around = [{n: one[n] for n in shared} for one in spot.courses]
+    units = {**units, **{n: unit for n, (unit, _) in columns.items()}, TIME: "s"}
+    every = [q for n in shared if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
+    quantities = _apart([q for q in every if q.name != TIME], around)
+    elsewhere = {*near, TIME, *columns}.difference(names)
+    away = [_from_start(q, around) for q in _apart(every, around) if q.name in elsewhere]
+    terms = _distinct(library(*here, time, away[:_OTHERS]), around, time)
+    return Spot(spot.port, spot.flow, tuple(around), time, tuple(terms), tuple(quantities), names)
 
 
 def _neighbours(port: Port, ports: Sequence[Port]) -> list[Port]:
@@ -114,32 +159,52 @@ def _neighbours(port: Port, ports: Sequence[Port]) -> list[Port]:
 
 def _from_start(x: Quantity, courses: Sequence[Mapping[str, FloatArray]]) -> Quantity:
     """Return a quantity that stays far from zero above its first value."""
+    far = min(abs(x.low), abs(x.high)) >= x.high - x.low and not x.signed
+    return _above_start(x, courses) if far else x
+
+
+def _above_start(x: Quantity, courses: Sequence[Mapping[str, FloatArray]]) -> Quantity:
     first = float(courses[0][x.name][0])
-    if min(abs(x.low), abs(x.high)) < x.high - x.low or x.signed:
-        return x
     text = f"({x.name} - {first:.6g})" if first >= 0.0 else f"({x.name} + {-first:.6g})"
-    return _quantity(text, x.name, x.unit, courses, above=first) or x
+    return _quantity(text, x.name, x.unit, courses, x.kind, above=first) or x
 
 
-def spot_at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
-    """Return a place at a state of an FMU without source, for tables over its states and inputs.
-
-    None if nothing happens there.
-    """
+def _at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, float]) -> Spot | None:
+    """Return a place at a state: laws there use the states, inputs, columns and time."""
     known = set.intersection(*(set(case.simulator.variables) for case in model.cases))
     wanted = [n for n in observed_states(fmu) if n in known]
-    time = tuple(case.time for case in model.cases)
+    times = [case.time for case in model.cases]
     courses = [dict(zip(wanted, row, strict=True)) for row in model.trajectories(values, wanted)]
-    found = next((p for p in state_places(fmu, time, courses)[0] if p.port.name == name), None)
+    found = next((p for p in state_places(fmu, times, courses)[0] if p.port.name == name), None)
     if found is None:
         return None
-    inputs = [{n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()} for case in model.cases]
-    around = tuple(course | driven for course, driven in zip(courses, inputs, strict=True))
-    here = [n for n in (*found.names.values(), *fmu.states, *inputs[0]) if all(n in one for one in around)]
+    driven = [{n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()} for case in model.cases]
+    columns = [{n: u for n, (_, u) in case.columns.items()} for case in model.cases]
+    around = tuple(
+        {TIME: t}
+        | {n: one[n] for n in fmu.states if _is_name(n)}
+        | {n: u for n, u in row.items() if _is_name(n)}
+        | own
+        for t, one, row, own in zip(times, courses, driven, columns, strict=True)
+    )
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
-    every = [_quantity(n, n, units.get(n, "1"), around) for n in dict.fromkeys(here)]
-    quantities = tuple(_apart([q for q in every if q is not None], around))
-    return Spot(found.port, found.sizes["F"], around, time, (), quantities)
+    port, flow = found.port, found.sizes["P" if found.port.kind == "loop" else "F"]
+    kinds: dict[str, Kind] = {"rate": "speed", "p": _POSITION.get(port.domain, "value")}
+    own = [
+        _above_start(q, around) if port.domain == "thermal" else q
+        for what, n in found.names.items()
+        if (q := _quantity(n, n, units.get(n, "1"), around, kinds.get(what, "value"))) is not None
+    ]
+    inputs = [q for n in driven[0] if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
+    return _with_terms(Spot(port, flow, around, (), ()), model, (own, inputs), {*fmu.states}, units)
+
+
+def _is_name(variable: str) -> bool:
+    """Return whether a law can use a variable by its name, which may be quoted or that of a law's parameter."""
+    try:
+        return names_in(variable) == {variable} and variable not in {*SHAPES, HIDDEN, TIME}
+    except ProblemError:
+        return False
 
 
 def _load_probe(port: Port, ports: Sequence[Port]) -> tuple[str, ...]:

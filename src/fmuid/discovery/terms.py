@@ -19,6 +19,7 @@ from fmuid.data.filtering import first_order
 
 Kind = Literal["position", "angle", "speed", "flow", "value"]
 HIDDEN = "hidden"  # the name of a term's own state in its text
+SHAPES = ("width", "pitch", "lag")  # names of the parameters of a term's shape
 _WIDTHS = (0.1, 0.2, 0.4)  # shares of the largest value of a quantity
 _LIMITS = (0.2, 0.35, 0.5, 0.65, 0.8)  # thresholds, as shares of it; a refit moves them
 _DIRECTION = 0.01  # share of the largest speed within which friction reverses
