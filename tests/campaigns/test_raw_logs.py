@@ -129,6 +129,17 @@ def test_two_rows_at_one_time_are_a_step(tmp_path: Path) -> None:
         read_run(tmp_path / "b.csv")
 
 
+def test_times_that_differ_by_rounding_are_one_time(tmp_path: Path) -> None:
+    """As FMPy records events: two rows for each, and a row of the grid a rounding error later."""
+    rows = ["0.1,0,0.1", "0.15,1,0.15", "0.15,1,-0.2", "0.2,2,-0.15", "0.20000000000000001,2,-0.15"]
+    rows = ["0,0,0.2", *rows, "0.25,2,-0.1", "0.25000000000000006,2,-0.1", "0.25000000000000006,3,0.3", "0.3,3,0.25"]
+    rows += [f"{k / 20:g},3,0.2" for k in range(7, 30)]
+    (tmp_path / "fmpy.csv").write_text("\n".join(["time,count,v", *rows]) + "\n")
+    table = read_run(tmp_path / "fmpy.csv").table
+    assert (np.diff(table.time) > 1e-6).all()
+    np.testing.assert_array_equal(table.columns["v"][:8], [0.2, 0.1, 0.15, -0.2, -0.15, -0.1, 0.3, 0.25])
+
+
 def test_data_frames_are_read_like_csv(tmp_path: Path) -> None:
     columns = {"n [1/min]": [60.0, 120.0], "q [rad]": [[0.1, 0.2], [0.3, 0.4]]}
     for library in ("pandas", "polars"):

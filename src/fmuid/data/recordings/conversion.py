@@ -21,6 +21,7 @@ from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
 from fmuid.data.table_layout import TableLayout
 
 _MOST_STEPS = 0.25  # share of rows at the time of another one: more are times without enough digits
+_SAME_TIME = 1e-9  # of the usual step: times that differ by less are one time, rounded
 _STEP_APART = 1e-3  # of the shortest step: the distance of the two rows of a step
 _NEARLY = 0.05  # of an input's standard deviation
 
@@ -74,7 +75,9 @@ def _with_steps_apart(table: Table, path: Path) -> tuple[Table, list[str]]:
     Of more than two rows at one time, the first and the last are kept; of equal rows, the first.
     """
     time = table.time
-    same = np.diff(time) == 0.0
+    steps = np.diff(time)
+    least = _SAME_TIME * float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    same = (steps >= 0.0) & (steps <= least)
     if not same.any():
         return table, []
     if np.mean(same) > _MOST_STEPS:
@@ -90,7 +93,7 @@ def _with_steps_apart(table: Table, path: Path) -> tuple[Table, list[str]]:
     begins = first[np.searchsorted(first, np.arange(time.size), side="right") - 1]
     keep &= ~follows | ~np.all((values == values[begins]) | (np.isnan(values) & np.isnan(values[begins])), axis=1)
     moved = keep & follows
-    later = time + np.where(moved, _STEP_APART * float(np.min(np.diff(time)[~same])), 0.0)
+    later = time + np.where(moved, _STEP_APART * float(np.min(steps[~same])), 0.0)
     apart = replace(table, time=later[keep], columns={n: v[keep] for n, v in table.columns.items()})
     count = int(moved.sum())
     note = f"{count} time{'s' if count > 1 else ''} with two rows: the second row is a step right after the first"
