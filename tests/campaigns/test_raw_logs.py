@@ -132,7 +132,14 @@ def test_two_rows_at_one_time_are_a_step(tmp_path: Path) -> None:
 def test_times_that_differ_by_rounding_are_one_time(tmp_path: Path) -> None:
     """As FMPy records events: two rows for each, and a row of the grid a rounding error later."""
     rows = ["0.1,0,0.1", "0.15,1,0.15", "0.15,1,-0.2", "0.2,2,-0.15", "0.20000000000000001,2,-0.15"]
-    rows = ["0,0,0.2", *rows, "0.25,2,-0.1", "0.25000000000000006,2,-0.1", "0.25000000000000006,3,0.3", "0.3,3,0.25"]
+    rows = [
+        "0,0,0.2",
+        *rows,
+        "0.25,2,-0.1",
+        "0.25000000000000006,2,-0.1",
+        "0.25000000000000006,3,0.3",
+        "0.3,3,0.25",
+    ]
     rows += [f"{k / 20:g},3,0.2" for k in range(7, 30)]
     (tmp_path / "fmpy.csv").write_text("\n".join(["time,count,v", *rows]) + "\n")
     table = read_run(tmp_path / "fmpy.csv").table

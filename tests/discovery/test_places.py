@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.foreign.plants import plant_fmu
 from fmuid import Task, measured_case
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.discovery.places import Spot, spot
 from fmuid.simulation.fmu import Fmu
+from tests.foreign_fmus.plants import plant_fmu
 from tests.simulation.fmus import make_oscillator
 
 TIME = np.linspace(0.0, 0.4, 81)
