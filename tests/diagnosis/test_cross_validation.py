@@ -35,7 +35,7 @@ def linear(slopes, keep=(0, 1, 2, 3)):
     runs = [RepeatedRuns(f"e{k}", "bench", TIME, ("y",), s * TIME + noise[k]) for k, s in enumerate(slopes)]
     observed = Observed.from_runs(runs).select([f"e{k}" for k in keep])
 
-    def predict(points):
+    def predict(points, near=None):
         return [[(p["k"] * TIME)[None] for _ in keep] for p in points]
 
     return observed, refit(predict, observed, [Unknown("k", 1.0, -100.0, 100.0, 0.01)])

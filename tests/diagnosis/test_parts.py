@@ -201,7 +201,7 @@ def test_a_refit_is_at_least_as_good_as_every_start():
     time = np.linspace(0.0, 3.0, 200)
     observed = one_run(time, np.sin(7.0 * time))
 
-    def predict(points):
+    def predict(points, near=None):
         return [(np.sin(p["w"] * time)[None],) for p in points]
 
     unknown = [Unknown("w", 2.0, 0.0, 20.0, 0.01)]
@@ -218,7 +218,7 @@ def test_a_refit_goes_around_values_with_which_the_model_grows_without_limit():
     time = np.linspace(0.0, 1.0, 200)
     observed = one_run(time, np.exp(2.0 * time))
 
-    def predict(points):
+    def predict(points, near=None):
         return [(np.exp(p["k"] * time)[None],) for p in points]
 
     # Where the squares of the predictions are no longer numbers, a refit cannot begin, but others go on.
@@ -233,7 +233,7 @@ def test_a_refit_ends_beside_values_with_which_nothing_can_be_simulated():
     time = np.linspace(0.0, 1.0, 200)
     observed = one_run(time, 2.0 * time)
 
-    def predict(points):
+    def predict(points, near=None):
         failed = SimulationError("unstable")
         return [failed if p["k"] > 2.02 else (p["k"] * time[None],) for p in points]
 
@@ -253,7 +253,7 @@ def test_a_refit_gets_over_ripples_of_the_cost():
 
     observed = one_run(time, model(2.0, -0.5), noise=0.001)
 
-    def predict(points):
+    def predict(points, near=None):
         return [(model(p["k"], p["d"])[None],) for p in points]
 
     fit = refit(predict, observed, [Unknown("k", 1.0, 0.0, 9.0, 0.01), Unknown("d", -1.0, -9.0, 9.0, 0.01)])
@@ -265,7 +265,7 @@ def test_what_is_known_beforehand_of_an_effect_weighs_against_the_data():
     runs = [RepeatedRuns("e", "bench", TIME, ("y",), TIME + 0.1 * rng.standard_normal((5, 1, len(TIME))))]
     observed = Observed.from_runs(runs)
 
-    def predict(points):
+    def predict(points, near=None):
         return [[(p["k"] * TIME)[None]] for p in points]
 
     free, *bound = (
@@ -284,7 +284,7 @@ def test_effects_that_no_data_tell_apart_are_said_once_by_the_more_usual_and_sim
     runs = [RepeatedRuns("e", "bench", TIME, ("y",), TIME + wave + 0.1 * rng.standard_normal((5, 1, len(TIME))))]
     observed = Observed.from_runs(runs)
 
-    def predict(points):
+    def predict(points, near=None):
         found = []
         for p in points:
             bent = p.get("bent", 0.0) * wave + p.get("bent", 0.0) ** 2 * other

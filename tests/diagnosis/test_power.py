@@ -36,7 +36,7 @@ def effect(name):
 EFFECTS = [effect(name) for name in RESPONSES]
 
 
-def predict(points):
+def predict(points, near=None):
     found = []
     for point in points:
         ((name, size),) = point.items()

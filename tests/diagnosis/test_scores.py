@@ -55,7 +55,7 @@ def test_experiments_are_stacked_by_the_roots_of_their_repeats():
 def test_a_score_is_what_the_part_of_a_signature_that_refitting_cannot_imitate_explains():
     asked = []
 
-    def predict(points):
+    def predict(points, near=None):
         asked.extend(points)
         return [moved(p["e"]) for p in points]
 
@@ -73,7 +73,7 @@ def test_a_score_is_what_the_part_of_a_signature_that_refitting_cannot_imitate_e
 
 def test_runs_that_were_not_repeated_tell_nothing_of_their_scatter():
     base = fitted([[2.0], [2.0]], [[[0.0]], [[0.0]]])
-    along = lambda points: [[r - p["e"] for r in base.residuals] for p in points]  # noqa: E731
+    along = lambda points, near=None: [[r - p["e"] for r in base.residuals] for p in points]  # noqa: E731
     (score,) = score_effects(along, recorded([[0.0]], [[0.0]]), base, [effect("e", 1.0)])
     assert score.per_run == pytest.approx(np.sqrt(8.0))
     observed = recorded([[0.0]], [[3.0], [-3.0]])
@@ -86,7 +86,7 @@ def test_runs_that_were_not_repeated_tell_nothing_of_their_scatter():
 
 
 def test_an_effect_of_one_sign_explains_nothing_the_other_way_round():
-    predict = lambda points: [moved(-p.get("one", p.get("two", 0.0))) for p in points]  # noqa: E731
+    predict = lambda points, near=None: [moved(-p.get("one", p.get("two", 0.0))) for p in points]  # noqa: E731
     both = [effect("one", 1.0), effect("two", 1.0, two_sided=True)]
     first, second = score_effects(predict, OBSERVED, BASE, both)
     assert (first.effect, second.effect) == ("two", "one")
@@ -95,12 +95,12 @@ def test_an_effect_of_one_sign_explains_nothing_the_other_way_round():
     for sign, drop in ((1.0, 0.25), (-1.0, 0.0)):  # a twelfth of that residual
         less = fitted([r / 12.0 for r in BASE.residuals], BASE.jacobian)
         shifted = [[r + sign * d for r, d in zip(less.residuals, moved(1.0, base=(0.0, 0.0)), strict=True)]]
-        (score,) = score_effects(lambda points, to=shifted: to, OBSERVED, less, both[:1])
+        (score,) = score_effects(lambda points, near=None, to=shifted: to, OBSERVED, less, both[:1])
         assert score.drop == pytest.approx(drop)
 
 
 def test_an_effect_is_scored_by_its_best_trial_that_can_be_simulated():
-    def predict(points):
+    def predict(points, near=None):
         found = []
         for p in points:
             if "still" in p:
@@ -131,7 +131,7 @@ def test_an_effect_is_scored_by_its_best_trial_that_can_be_simulated():
 def test_a_trial_far_larger_than_the_gap_is_scaled_down_until_it_says_something():
     """The plant runs away: at a hundredth of the trial its response is along the residual, and beyond it is not."""
 
-    def predict(points):
+    def predict(points, near=None):
         return [moved(40.0 * p["e"]) if p["e"] <= 0.01 else moved(1e4 * p["e"], ((0, 1), (3, 5))) for p in points]
 
     (score,) = score_effects(predict, OBSERVED, BASE, [effect("e", 1.0)])
@@ -154,7 +154,9 @@ def test_a_trial_far_larger_than_the_gap_is_scaled_down_until_it_says_something(
 )
 def test_what_moves_nothing_of_its_own_has_no_signature(along_parameter, across, seen):
     direction = ((along_parameter / 2.0, across / 2.0), (0.0, 0.0))
-    (score,) = score_effects(lambda points: [moved(-1.0, direction)], OBSERVED, BASE, [effect("e", 1.0)])
+    (score,) = score_effects(
+        lambda points, near=None: [moved(-1.0, direction)], OBSERVED, BASE, [effect("e", 1.0)]
+    )
     assert (score.signature is not None) is seen
     assert score.length == pytest.approx(across, rel=1e-3)
     assert score.moved == pytest.approx(np.hypot(along_parameter, across))
@@ -194,7 +196,7 @@ def grouped(effects, scores, predict=None):
     """Which effects are said, each with those that it stands for."""
     linear = {s.effect: s.length * s.signature / s.trial[s.effect] for s in scores if s.signature is not None}
 
-    def straight(points):
+    def straight(points, near=None):
         return [[sum((size * linear[n] for n, size in p.items() if n in linear), np.zeros(3))] for p in points]
 
     said = without_aliases(predict or straight, PLAIN, ZERO, effects, scores)
@@ -240,7 +242,7 @@ def test_laws_that_bend_are_compared_once_more_where_both_move_as_much():
     """The trial of one is ten times as large as the other's: there it has bent away by a few degrees."""
     asked = []
 
-    def predict(points):
+    def predict(points, near=None):
         asked.extend(points)
         return [[np.array([p["bent"], 0.01 * p["bent"] ** 2, 0.0])] for p in points]
 
@@ -264,7 +266,9 @@ def test_laws_that_bend_are_compared_once_more_where_both_move_as_much():
     assert asked[0]["bent"] == pytest.approx(-10.0 / np.hypot(10.0, 1.0))
     # What moves nothing at that size, or cannot be simulated there, is told apart.
     for outcome in ([np.zeros(3)], SimulationError("the integrator gave up")):
-        found = grouped(both, [ahead, bent(10.0)], lambda points, outcome=outcome: [outcome for _ in points])
+        found = grouped(
+            both, [ahead, bent(10.0)], lambda points, near=None, outcome=outcome: [outcome for _ in points]
+        )
         assert found == {"a": [], "bent": []}
 
 
@@ -284,7 +288,7 @@ def test_classes_join_effects_wherever_they_stand():
 def test_only_what_is_nearly_alike_is_compared_again_and_that_with_the_three_most_alike():
     asked = []
 
-    def predict(points):
+    def predict(points, near=None):
         asked.extend(points)
         return [[np.array([0.0, 0.0, 1.0])] for _ in points]
 

@@ -12,7 +12,7 @@ from fmu_build.model_ports import find_ports
 from fmuid.discovery import places
 from fmuid.discovery.injected import Law
 from fmuid.discovery.places import Spot
-from fmuid.discovery.selection import instead
+from fmuid.discovery.selection import instead, spanning
 from fmuid.discovery.terms import Quantity, library, names_in
 from tests.diagnosis.test_made_catalogue import RIGS
 
@@ -96,3 +96,14 @@ def test_a_law_may_depend_on_neighbours_outputs_columns_and_time():
     assert wind_law.effect("law@rotor", "").inputs == {"logged.wind": "m/s"}
     squares = [t.text for t in found.terms if "^2*" in t.text or "*abs(" in t.text]
     assert any("logged.wind" in text for text in squares)
+
+
+def test_few_courses_span_the_library(spot):
+    """Responses are linear, so that those to the other terms need no simulation."""
+    courses = np.array([t.whole_course(spot.courses, spot.time) for t in spot.terms])
+    linear = np.array([np.ones(courses.shape[1]), np.concatenate(RATES)])
+    chosen, sums = spanning(courses, linear)
+    assert len(chosen) < 0.6 * len(courses)
+    left = courses - sums @ np.vstack([linear, courses[chosen]])
+    beyond = courses - np.linalg.lstsq(linear.T, courses.T, rcond=None)[0].T @ linear
+    assert np.all(np.linalg.norm(left, axis=1) <= 0.1 * np.linalg.norm(beyond, axis=1) + 1e-9)

@@ -143,6 +143,22 @@ def test_residuals_of_segments_count_at_least_one_by_one(trolley_fmu):
     assert stage.uncertainty.degrees_of_freedom >= 3 * 4 - 2
 
 
+def test_runs_near_a_point_begin_there_and_differ_by_what_the_states_follow(trolley_fmu, trolley_runs):
+    cut = of_trolley(trolley_fmu, trolley_runs, segments=1.0)
+    case = Problem.of_stage(cut, cut.stages["all"], {"plant": load_fmu(trolley_fmu)}).cases[0]
+    segments, task = case.simulator, case.task
+    nearby = {**TROLLEY, "m": 1.001 * TROLLEY["m"]}
+    near = segments.from_states_at(segments, task, TROLLEY)
+    here = segments.simulate(task, TROLLEY)
+    np.testing.assert_array_equal(near.simulate(task, TROLLEY), here)
+    followed, moved = segments.simulate(task, nearby) - here, near.simulate(task, nearby) - here
+    by_states = segments.state_tangents(TROLLEY)[:, 0].T
+    left = np.linalg.lstsq(by_states, (followed - moved)[0], rcond=None)[1]
+    assert np.linalg.norm(moved - followed) > 0.1 * np.linalg.norm(moved)
+    assert np.sqrt(left.sum()) < 1e-2 * np.linalg.norm(followed)
+    assert near.token != segments.token
+
+
 def test_a_model_without_states_is_refused(msd, analytic):
     with pytest.raises(ProblemError, match="no continuous states"):
         segmented(msd().cases[0], 0.5, {})

@@ -37,17 +37,19 @@ _LINED = 0.1  # of one between lines, which follow it more closely
 _WIDTH = 1e-4  # relative width of differences around a simulation, for ties and sensors
 Direction = tuple[dict[str, float], float]
 """How a model's variables move with one parameter: their proportions, and the size of the move."""
-_Key = tuple[int, float | None, frozenset[tuple[str, float]], tuple[tuple[str, bytes], ...]]
+_Values = frozenset[tuple[str, float]]
+_Key = tuple[int, float | None, _Values, tuple[tuple[str, bytes], ...], _Values]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Wanted:
-    """A prediction of a case, by its number, at some values, with further inputs driven."""
+    """A prediction of a case, by its number, at some values, with further inputs driven; see `predict`."""
 
     index: int
     case: Case
     values: Mapping[str, float]
     drive: Mapping[str, Sequence[FloatArray]] | None = None
+    near: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,9 +109,15 @@ class CampaignModel:
             for case in self.cases
         )
 
-    def predict(self, points: Sequence[Mapping[str, float]]) -> list[Prediction | SimulationError]:
-        """Return the prediction of every point, or the error for a point without one."""
-        return self._simulate([(point, None) for point in points])
+    def predict(
+        self, points: Sequence[Mapping[str, float]], near: Mapping[str, float] | None = None
+    ) -> list[Prediction | SimulationError]:
+        """Return the prediction of every point, or the error for a point without one.
+
+        Segments of the runs begin in the states that fit at the point, or at `near`: what follows from a change of
+        the states is then missing, which nuisances project off.
+        """
+        return self._simulate([(point, None) for point in points], near)
 
     def predict_driven(
         self, values: Mapping[str, float], drives: Sequence[Mapping[str, Sequence[FloatArray]]]
@@ -118,7 +126,7 @@ class CampaignModel:
 
         Each drive maps an input to (N,) samples for every experiment.
         """
-        return self._simulate([(values, drive) for drive in drives])
+        return self._simulate([(values, drive) for drive in drives], values)
 
     def cases_at(self, values: Mapping[str, float]) -> list[Case]:
         """Return the cases with the solver tolerances that a point needs."""
@@ -292,10 +300,18 @@ class CampaignModel:
         return parts if parts is not None and squares_finite(parts) else None
 
     def _simulate(
-        self, wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]]
+        self,
+        wanted: Sequence[tuple[Mapping[str, float], Mapping[str, Sequence[FloatArray]] | None]],
+        near: Mapping[str, float] | None = None,
     ) -> list[Prediction | SimulationError]:
         every = [
-            _Wanted(k, case, values, drive and {n: u for n, u in drive.items() if n in case.simulator.variables})
+            _Wanted(
+                k,
+                case,
+                values,
+                drive and {n: u for n, u in drive.items() if n in case.simulator.variables},
+                near if isinstance(case.simulator, Segmented) else None,
+            )
             for values, drive in wanted
             for k, case in enumerate(self.cases_at(values))
         ]
@@ -319,8 +335,9 @@ class CampaignModel:
         jobs: dict[_Key, Job] = {}
         refused: dict[_Key, SimulationError] = {}
         for want in wanted:
-            if id(want.values) not in split:
-                split[id(want.values)] = self._split(want.values)
+            for at in (want.values, want.near):
+                if at is not None and id(at) not in split:
+                    split[id(at)] = self._split(at)
             plain, signal = split[id(want.values)]
             values = self.start_values(want.case, plain)
             disturbed = _disturbed(want.case, want.index, signal, want.drive)
@@ -328,7 +345,13 @@ class CampaignModel:
             around.append(disturbed)
             if keys[-1] not in jobs and keys[-1] not in refused:
                 try:
-                    jobs[keys[-1]] = (self._simulator(want.case, values), _task(want, disturbed), values)
+                    simulator = self._simulator(want.case, values)
+                    if want.near is not None:
+                        plain_near, signal_near = split[id(want.near)]
+                        there = self.start_values(want.case, plain_near)
+                        origin = self._simulator(want.case, there)
+                        simulator = _begun(want, simulator, origin, there, signal_near)
+                    jobs[keys[-1]] = (simulator, _task(want, disturbed), values)
                 except SimulationError as error:
                     refused[keys[-1]] = error
         found = {**self._predictor(jobs, self.runner), **refused}
@@ -347,6 +370,16 @@ class CampaignModel:
             names = [c.signal for c in case.channels]
             results.append(disturbed_readings(sensed, names, signal, case.time, inputs))
         return results
+
+
+def _begun(
+    want: _Wanted, simulator: Simulator, origin: Simulator, values: Mapping[str, float], signal: Effects
+) -> Simulator:
+    """Return the segments of a model, begun in the states that fit in `origin` at its values."""
+    assert isinstance(simulator, Segmented)
+    assert isinstance(origin, Segmented)
+    task = _task(want, _disturbed(want.case, want.index, signal, None))
+    return simulator.from_states_at(origin, task, values)
 
 
 def _conditions(case: Case) -> str:
@@ -374,7 +407,8 @@ def _key(want: _Wanted, values: Mapping[str, float], disturbed: Disturbed | None
     if disturbed is not None and disturbed.time is not task.time:
         changed[""] = disturbed.time
     digests = tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in changed.items())
-    return want.index, task.tolerance, own, digests
+    near = frozenset({} if want.near is None else want.near.items())
+    return want.index, task.tolerance, own, digests, near
 
 
 def _task(want: _Wanted, disturbed: Disturbed | None) -> Task:

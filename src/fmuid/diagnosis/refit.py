@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -16,8 +16,17 @@ from fmuid.diagnosis.observed import Observed, squares_finite
 from fmuid.effects.effect import Unknown
 from fmuid.identification.solvers.trust_region import SettledError, trust_region
 
-Predict = Callable[[Sequence[Mapping[str, float]]], Sequence[Sequence[FloatArray] | SimulationError]]
-"""Points in parameter space -> predictions (C, N) of every experiment, or the error for a point without one."""
+Outcomes = Sequence[Sequence[FloatArray] | SimulationError]
+
+
+class Predict(Protocol):
+    """Points in parameter space -> predictions (C, N) of every experiment, or the error for a point without one.
+
+    Points `near` another one may share what was estimated there for each run.
+    """
+
+    def __call__(self, points: Sequence[Mapping[str, float]], near: Mapping[str, float] | None = None) -> Outcomes:
+        """Return one outcome per point."""
 
 
 Tangents = Callable[[Mapping[str, float], Sequence[str]], Mapping[str, Sequence[FloatArray]]]
@@ -266,17 +275,23 @@ class _Campaign:
     def values(self, x: FloatArray) -> dict[str, float]:
         return {name: float(v) for name, v in zip(self._names, x, strict=True)}
 
-    def evaluate(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...] | SimulationError]:
+    def evaluate(
+        self, points: Sequence[FloatArray], near: FloatArray | None = None
+    ) -> list[tuple[FloatArray, ...] | SimulationError]:
         """Return the residuals of every experiment at each point, or the error for a point without them."""
         self.evaluations += len(points)
         return [
             outcome if isinstance(outcome, SimulationError) else _with_squares(self._observed.residuals(outcome))
-            for outcome in self._predict([self.values(p) for p in points])
+            for outcome in self._predict(
+                [self.values(p) for p in points], near=None if near is None else self.values(near)
+            )
         ]
 
-    def _simulated(self, points: Sequence[FloatArray]) -> list[tuple[FloatArray, ...]]:
+    def _simulated(
+        self, points: Sequence[FloatArray], near: FloatArray | None = None
+    ) -> list[tuple[FloatArray, ...]]:
         """Return the residuals of every experiment at each point, or raise the first failure."""
-        return _all_simulated(self.evaluate(points))
+        return _all_simulated(self.evaluate(points, near))
 
     def parts(self, x: FloatArray) -> tuple[FloatArray, ...]:
         """Return the residuals of every experiment; those of the last points are remembered."""
@@ -330,7 +345,7 @@ class _Campaign:
         away = np.diag(np.where(up, self.steps, -self.steps))[left]
         if wide:
             points = [self.clipped(x + sign * wide * step) for sign in (1.0, -1.0) for step in away]
-            found = list(zip(points, self._simulated(points), strict=True))
+            found = list(zip(points, self._simulated(points, x), strict=True))
             ends, begins = found[: len(left)], found[len(left) :]
         else:
             ends, begins = self._beside(x, away), [(x, base)] * len(left)
@@ -346,10 +361,10 @@ class _Campaign:
     def _beside(self, x: FloatArray, steps: FloatArray) -> list[tuple[FloatArray, tuple[FloatArray, ...]]]:
         """Return the point after each step, with its residuals; on the other side of `x` where it has none."""
         points = [self.clipped(x + step) for step in steps]
-        found = self.evaluate(points)
+        found = self.evaluate(points, x)
         failed = [n for n, outcome in enumerate(found) if isinstance(outcome, SimulationError)]
         others = [self.clipped(x - steps[n]) for n in failed]
-        for n, other, outcome in zip(failed, others, self.evaluate(others) if others else (), strict=True):
+        for n, other, outcome in zip(failed, others, self.evaluate(others, x) if others else (), strict=True):
             if np.array_equal(other, x) or isinstance(outcome, SimulationError):
                 continue
             points[n], found[n] = other, outcome

@@ -124,7 +124,7 @@ def score_trials(
     predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
 ) -> Iterator[Score | None]:
     """Yield the score of each trial, None for those that fail to simulate."""
-    outcomes = predict([{**base.values, **effect.neutral, **trial} for effect, trial in trials])
+    outcomes = predict([{**base.values, **effect.neutral, **trial} for effect, trial in trials], near=base.values)
     basis = nominal_basis(base, observed)
     residual = stack(base.residuals, observed)
     for (effect, trial), outcome in zip(trials, outcomes, strict=True):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import qr
 
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
@@ -24,6 +25,7 @@ from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import Term
 
 DRIVEN = 0.05  # size at which a term's response is taken, as a share of the flow at the port
+_NEAR = 0.02  # of a course, beyond its linear terms: what a sum of others may leave of it
 _JUDGED = 40  # terms per place that are judged on held-out experiments
 _INSTEAD = 6  # terms that are tried in place of a law
 _BEGUN, _PARTNERS = 6, 4  # terms from which pairs are made, and partners tried for each
@@ -122,11 +124,17 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
     time = [case.time for case in model.cases]
     courses = tuple(tuple(t.course(c, s) for c, s in zip(spot.courses, time, strict=True)) for t in spot.terms)
     basis, residual = nominal_basis(base, observed), stack(base.residuals, observed)
+    linear = _linear(spot)
+    chosen, sums = spanning(*(np.array([np.concatenate(c) for c in every]) for every in (courses, linear)))
+    driven = moved_by(model, observed, base, port, (*linear, *(courses[k] for k in chosen)))
     found = []
-    for term, moved in zip(spot.terms, moved_by(model, observed, base, port, courses), strict=True):
-        if moved is None:
+    for term, amounts in zip(spot.terms, sums, strict=True):
+        used = [(a, m) for a, m in zip(amounts, driven, strict=True) if a]
+        if any(m is None for _, m in used):
             continue
-        parts = tuple(m[:, None] for m in moved)
+        parts = tuple(
+            np.sum([a * m[k] for a, m in used if m is not None], axis=0)[:, None] for k in range(len(model.cases))
+        )
         whole = stack(parts, observed)[:, 0]
         signature = project_off(whole, basis)
         length = float(np.linalg.norm(signature))
@@ -134,6 +142,44 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
             signature /= length
             found.append(_Column(term, parts, signature, float(signature @ residual) ** 2))
     return found
+
+
+def _linear(spot: Spot) -> list[tuple[FloatArray, ...]]:
+    """Return the linear terms at a place: a constant and its quantities, of size 1."""
+    names = spot.own or spot.courses[0]
+    sizes = {n: max(float(np.abs(c[n]).max()) for c in spot.courses) or 1.0 for n in names}
+    constant = tuple(np.ones(len(t)) for t in spot.time)
+    return [constant, *(tuple(c[n] / size for c in spot.courses) for n, size in sizes.items())]
+
+
+def spanning(courses: FloatArray, linear: FloatArray) -> tuple[list[int], FloatArray]:
+    """Choose courses whose linear combinations, with those of `linear` ones, come near every course.
+
+    The response to a course is linear in it, so the others need not be simulated (interpolative decomposition by
+    QR with pivots; Cheng, Gimbutas, Martinsson and Rokhlin, SIAM J. Sci. Comput. 26, 2005).
+
+    Parameters
+    ----------
+    courses, linear
+        (T, N) and (L, N).
+
+    Returns
+    -------
+    chosen
+        Rows of `courses`.
+    sums
+        (T, L + chosen) coefficients of every course; those of a chosen one are 1 and 0.
+    """
+    rest = courses - np.linalg.lstsq(linear.T, courses.T, rcond=None)[0].T @ linear
+    size = np.linalg.norm(rest, axis=1)
+    kept = size > 1e-9 * np.linalg.norm(courses, axis=1)
+    scale = np.where(kept, size, 1.0)
+    triangle, order = qr((rest / scale[:, None] * kept[:, None]).T, mode="r", pivoting=True)
+    chosen = [int(k) for k in order[: int(np.count_nonzero(np.abs(np.diag(triangle)) > _NEAR))]]
+    every = np.vstack([linear, courses[chosen]])
+    sums = np.asarray(np.linalg.lstsq(every.T, courses.T, rcond=None)[0].T, dtype=np.float64)
+    sums[chosen] = np.eye(len(every))[len(linear) :]
+    return chosen, sums
 
 
 def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:

@@ -56,7 +56,7 @@ class RecordedSimulations:
         end = found[-1][2] if found else None
         self._full = False
         self._journal = Journal(file, _MAGIC, end=end)
-        self._tasks: _Digests[Task] = _Digests(_of_task, _TASKS)
+        self._tasks: _Digests[Task] = _Digests(digest_of_task, _TASKS)
         self._models: _Digests[Simulator] = _Digests(_of_model, _TASKS)
 
     def __enter__(self) -> RecordedSimulations:
@@ -108,7 +108,7 @@ class RecordedSimulations:
     def _key(self, job: Job) -> bytes:
         simulator, task, parameters = job
         digest = hashlib.blake2b(self._models(simulator) + self._tasks(task), digest_size=16)
-        digest.update(_of_values(parameters))
+        digest.update(digest_of_values(parameters))
         return digest.digest()
 
 
@@ -133,17 +133,19 @@ def _positions(file: Path) -> list[tuple[bytes, int, int]]:
     return [(content[0], begin, end) for content, begin, end in records(file, _MAGIC)]
 
 
-def _of_values(values: Mapping[str, float]) -> bytes:
+def digest_of_values(values: Mapping[str, float]) -> bytes:
+    """Return bytes that differ with the values."""
     return b"".join(name.encode() + b"\0" + struct.pack("<d", values[name]) for name in sorted(values))
 
 
-def _of_task(task: Task) -> bytes:
+def digest_of_task(task: Task) -> bytes:
+    """Return a digest of a task and its data."""
     digest = hashlib.blake2b(digest_size=16)
     how = (task.interpolation, task.tolerance, sorted(task.inputs), task.linear, task.band_limited, task.after)
     digest.update(repr((task.outputs, *how, task.every)).encode())
-    digest.update(_of_values(task.start_values))
+    digest.update(digest_of_values(task.start_values))
     for direction in task.along:
-        digest.update(b"|" + _of_values(direction))
+        digest.update(b"|" + digest_of_values(direction))
     arrays: list[Any] = [task.time, *(task.inputs[name] for name in sorted(task.inputs))]
     if task.feedback is not None:
         arrays += [task.feedback.measured, task.feedback.gain]

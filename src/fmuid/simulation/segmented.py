@@ -23,6 +23,7 @@ import numpy as np
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.simulation.band_limited import refined
+from fmuid.simulation.recorded import digest_of_task, digest_of_values
 from fmuid.simulation.simulator import Simulator, Task, Wrapped
 
 Length = float | Literal["auto"]
@@ -31,7 +32,10 @@ Length = float | Literal["auto"]
 _STEPS = 30  # Gauss-Newton steps per segment, and trials per step, with increasing damping after failures
 _TRIALS = 9
 _DAMPING = 1e-3  # initial damping, for columns of unit length
-_SETTLED = 1e-7  # relative to the norm of the residuals: smaller steps of the states are negligible
+_SETTLED = 1e-5  # relative to the norm of the residuals: smaller steps of the states gain 1e-10 of the cost
+_LAST = 1e-6  # share of the cost: the gain of a step after which the next one is negligible
+_STRAIGHT = 1e-3  # relative error of a step's predicted gain up to which slopes are the same after the step ...
+_BENT = 0.1  # ... and from which they are no longer used
 _RANK = 1e-8
 _DIFFERENCE = 1e-4  # step of a state's finite difference, relative to its scale
 _ERROR = 0.01  # relative error: the best accuracy of actuators, sensors and models
@@ -87,6 +91,31 @@ class _Cut:
     growth: Growth | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Piece:
+    """A segment of a task: without derivatives, with those by its initial states, and with all of them."""
+
+    plain: Task
+    sloped: Task
+    whole: Task
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Begin:
+    """Where segments begin that are not fitted: in the states that fit elsewhere."""
+
+    origin: Segmented
+    task: Task
+    parameters: Mapping[str, float]
+
+    @property
+    def digest(self) -> bytes:
+        """What the states depend on, in brief."""
+        whole = self.task if not self.task.along else replace(self.task, along=())
+        seen = digest_of_task(whole) + digest_of_values(self.parameters)
+        return hashlib.blake2b(self.origin.token.encode() + seen, digest_size=16).digest()
+
+
 class Segmented(Wrapped):
     """A simulator that restarts in each segment, from the states that fit the segment's samples best.
 
@@ -127,9 +156,11 @@ class Segmented(Wrapped):
         self._states = states_of(simulator)
         self.exact = simulator.differentiates(set(self.states))
         self._cut: _Cut | None = None
-        self._pieces: OrderedDict[int, tuple[Task, list[Task]]] = OrderedDict()
+        self._pieces: OrderedDict[int, tuple[Task, list[_Piece]]] = OrderedDict()
         self._others: dict[int, Segmented] = {}
         self.missing: tuple[str, ...] = ()
+        self._begin: _Begin | None = None
+        self._known: OrderedDict[bytes, FloatArray] = OrderedDict()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -145,7 +176,8 @@ class Segmented(Wrapped):
     def token(self) -> str:
         """Identity of the model for fingerprints."""
         seen = hashlib.blake2b(self.target.tobytes() + self.weight.tobytes(), digest_size=8).hexdigest()
-        return f"{self.simulator.token} in segments of {self.length} of {seen}"
+        begin = "" if self._begin is None else f" from {self._begin.digest.hex()}"
+        return f"{self.simulator.token} in segments of {self.length} of {seen}{begin}"
 
     @property
     def segments(self) -> int:
@@ -184,11 +216,15 @@ class Segmented(Wrapped):
         """
         if self.missing:
             raise SimulationError(f"the model has no state '{self.missing[0]}' to begin a segment with")
-        cut, pieces = self._layout(), self._tasks(task)
+        cut, begin = self._layout(), self._begin or _Begin(self, task, parameters)
+        states = begin.origin.initial_states(begin.parameters, begin.task)
         found = np.empty((len(task.outputs) * (1 + len(task.along)), len(task.time)))
-        for k, piece in enumerate(pieces):
+        for k, piece in enumerate(self._tasks(task)):
             part = slice(cut.first[k], cut.first[k + 1])
-            found[:, part] = self._fitted(piece, part, cut.guess[k], cut.scale, parameters)[1]
+            if self.exact and task.along:
+                found[:, part] = self._projected(piece, part, states[k], cut.scale, parameters)
+            else:
+                found[:, part] = self._run(piece.plain, parameters, states[k])
         return found
 
     def over(self, simulator: Simulator) -> Segmented:
@@ -199,6 +235,7 @@ class Segmented(Wrapped):
         if id(simulator) not in self._others:
             other = copy.copy(self)
             other._cut, other._pieces, other._others = self._layout(), OrderedDict(), {}
+            other._known = OrderedDict()
             other.simulator = simulator
             other.missing = tuple(s for s in self.states if s not in simulator.states)
             other.exact = simulator.differentiates(set(self.states))
@@ -207,70 +244,113 @@ class Segmented(Wrapped):
 
     def state_tangents(self, parameters: Mapping[str, float]) -> FloatArray:
         """Return the (segments * states, outputs, N) derivatives of the outputs by the initial states."""
-        cut, pieces, n = self._layout(), self._tasks(replace(self.task, along=())), len(self.task.outputs)
+        cut, n = self._layout(), len(self.task.outputs)
         found = np.zeros((self.segments, len(self.states), n, len(self.task.time)))
-        for k, piece in enumerate(pieces):
+        for k, (piece, states) in enumerate(
+            zip(self._tasks(self.task), self.initial_states(parameters), strict=True)
+        ):
             part = slice(cut.first[k], cut.first[k + 1])
-            states, _ = self._fitted(piece, part, cut.guess[k], cut.scale, parameters)
-            run = self._run(piece, parameters, states)
-            found[k, :, :, part] = self._slopes(piece, parameters, states, cut.scale, run)
+            found[k, :, :, part] = self._sloped(piece, parameters, states, cut.scale)[1]
         return found.reshape(-1, n, len(self.task.time))
 
-    def initial_states(self, parameters: Mapping[str, float]) -> FloatArray:
-        """Return the initial states of the segments, (segments, states)."""
-        cut, pieces = self._layout(), self._tasks(self.task)
-        parts = [slice(a, b) for a, b in pairwise(cut.first)]
-        return np.array(
-            [
-                self._fitted(piece, part, guess, cut.scale, parameters)[0]
-                for piece, part, guess in zip(pieces, parts, cut.guess, strict=True)
-            ]
-        )
+    def from_states_at(self, origin: Segmented, task: Task, parameters: Mapping[str, float]) -> Segmented:
+        """Return these segments, each starting from the states that fit in `origin` at a task and its parameters.
+
+        Near that point, the prediction differs from the usual one only by what a change of the states explains.
+        """
+        other = copy.copy(self)
+        other._begin = _Begin(origin, task, parameters)
+        return other
+
+    def initial_states(self, parameters: Mapping[str, float], task: Task | None = None) -> FloatArray:
+        """Return the initial states of the segments, (segments, states), in a task or the whole run.
+
+        Those of the latest calls are remembered.
+        """
+        task = self.task if task is None else task
+        key = _Begin(self, task, parameters).digest
+        if key not in self._known:
+            cut, pieces = self._layout(), self._tasks(task)
+            parts = [slice(a, b) for a, b in pairwise(cut.first)]
+            self._known[key] = read_only(
+                np.array(
+                    [
+                        self._fitted(piece, part, guess, cut.scale, parameters)
+                        for piece, part, guess in zip(pieces, parts, cut.guess, strict=True)
+                    ]
+                )
+            )
+            while len(self._known) > _KEPT:
+                self._known.popitem(last=False)
+        return self._known[key]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_pieces": OrderedDict(), "_others": {}}
+        return self.__dict__ | {"_pieces": OrderedDict(), "_others": {}, "_known": OrderedDict()}
 
     # One segment
 
     def _fitted(
-        self, task: Task, part: slice, guess: FloatArray, scale: FloatArray, parameters: Mapping[str, float]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the states that fit a segment's samples, and its run from there with their derivatives projected.
+        self, piece: _Piece, part: slice, guess: FloatArray, scale: FloatArray, parameters: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the states that fit a segment's samples.
 
-        `part` are the judged samples, the first ones of the task.
+        `part` are the judged samples, the first ones of the piece. Slopes are kept while the steps that they give
+        gain about what they promise; the last step is taken with those at its end.
         """
-        n = self.target.shape[0]
-        weight, target = self.weight[:, part], self.target[:, part]
-        samples, counted = target.shape[1], weight > 0.0
         states = np.array(guess)
 
         def errors(run: FloatArray) -> FloatArray:
-            error: FloatArray = (weight * (run[:n, :samples] - target))[counted]
-            return error
+            return self._errors(run, part)
 
-        def columns(slopes: FloatArray) -> FloatArray:
-            """Convert (k, rows, N) derivatives to the (m, k) derivatives of the weighted errors."""
-            return np.stack([(weight * s[:n, :samples])[counted] for s in slopes], axis=1)
-
-        run = self._run(task, parameters, states)
-        error, damping = errors(run), 0.0
+        run, slopes = self._sloped(piece, parameters, states, scale)
+        error, damping, current = errors(run), 0.0, True
         for _ in range(_STEPS):
-            slopes = self._slopes(task, parameters, states, scale, run)
             found = self._step(
-                task, parameters, states, error=error, matrix=columns(slopes), errors=errors, damping=damping
+                piece.plain,
+                parameters,
+                states,
+                error=error,
+                matrix=self._columns(slopes, part),
+                errors=errors,
+                damping=damping,
             )
-            if found is None:
+            if found is None and current:
                 break
-            states, run, error, damping = found
-        rows = len(task.outputs)
-        base = run[:rows]
-        if not (extra := task.along[len(self.states) :] if self.exact else ()):
-            return states, base
-        slopes = self._slopes(task, parameters, states, scale, run)
-        tangents = run[rows * (1 + len(self.states)) :].reshape(len(extra), rows, -1)
-        follow = -_solved(columns(slopes), columns(tangents))
+            bent = np.inf
+            if found is not None:
+                before = float(error @ error)
+                states, run, error, damping, bent = found
+                if current and before - float(error @ error) <= _LAST * before:
+                    break
+            current = current and bent <= _STRAIGHT
+            if bent > _BENT:
+                run, slopes = self._sloped(piece, parameters, states, scale)
+                error, current = errors(run), True
+        return states
+
+    def _projected(
+        self, piece: _Piece, part: slice, states: FloatArray, scale: FloatArray, parameters: Mapping[str, float]
+    ) -> FloatArray:
+        """Return a segment's run from states that fit, with derivatives along which these follow."""
+        rows = len(piece.whole.outputs)
+        run = self._run(piece.whole, parameters, states)
+        slopes = self._slopes(piece.whole, parameters, states, scale, run)
+        tangents = run[rows * (1 + len(self.states)) :].reshape(-1, rows, run.shape[1])
+        follow = -_solved(self._columns(slopes, part), self._columns(tangents, part))
         tangents = tangents + np.einsum("ka,kij->aij", follow, slopes)
-        return states, np.concatenate([base, tangents.reshape(len(extra) * rows, -1)])
+        return np.concatenate([run[:rows], tangents.reshape(-1, run.shape[1])])
+
+    def _errors(self, run: FloatArray, part: slice) -> FloatArray:
+        """Return the weighted errors of a run, where they count."""
+        weight, target = self.weight[:, part], self.target[:, part]
+        error: FloatArray = (weight * (run[: len(target), : target.shape[1]] - target))[weight > 0.0]
+        return error
+
+    def _columns(self, slopes: FloatArray, part: slice) -> FloatArray:
+        """Convert (k, rows, N) derivatives to the (m, k) derivatives of the weighted errors."""
+        weight = self.weight[:, part]
+        n, samples = weight.shape
+        return np.stack([(weight * s[:n, :samples])[weight > 0.0] for s in slopes], axis=1)
 
     def _step(
         self,
@@ -282,8 +362,11 @@ class Segmented(Wrapped):
         matrix: FloatArray,
         errors: Callable[[FloatArray], FloatArray],
         damping: float,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-        """Return better states with their run, its errors and the next damping; None if none are found nearby."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float, float] | None:
+        """Return better states, their run and its errors, the next damping, and the error of the promised gain.
+
+        None if no better states are found nearby.
+        """
         for _ in range(_TRIALS):
             step = -_solved(matrix, error, damping)
             if np.linalg.norm(matrix @ step) <= _SETTLED * np.linalg.norm(error):
@@ -293,14 +376,24 @@ class Segmented(Wrapped):
                 moved = errors(run)
             except SimulationError:
                 moved = np.array([np.inf])
-            if moved @ moved < error @ error:
-                return states + step, run, moved, 0.1 * damping if damping > _DAMPING else 0.0
+            gained = float(error @ error - moved @ moved)
+            if gained > 0.0:
+                left = error + matrix @ step
+                bent = abs(gained / float(error @ error - left @ left) - 1.0)
+                return states + step, run, moved, 0.1 * damping if damping > _DAMPING else 0.0, bent
             damping = max(10.0 * damping, _DAMPING)
         return None
 
     def _run(self, task: Task, parameters: Mapping[str, float], states: FloatArray) -> FloatArray:
         there = dict(parameters) | dict(zip(self.states, states.tolist(), strict=True))
         return self.simulator.simulate(task, there)
+
+    def _sloped(
+        self, piece: _Piece, parameters: Mapping[str, float], states: FloatArray, scale: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a run, and its derivatives by its initial states."""
+        run = self._run(piece.sloped, parameters, states)
+        return run, self._slopes(piece.sloped, parameters, states, scale, run)
 
     def _slopes(
         self,
@@ -328,7 +421,7 @@ class Segmented(Wrapped):
             self._cut = self._cut_out()
         return self._cut
 
-    def _tasks(self, task: Task) -> list[Task]:
+    def _tasks(self, task: Task) -> list[_Piece]:
         """Return the tasks of the segments, the same objects for the same task: simulators prepare them."""
         if id(task) not in self._pieces:
             first = self._layout().first
@@ -338,17 +431,20 @@ class Segmented(Wrapped):
                 self._pieces.popitem(last=False)
         return self._pieces[id(task)][1]
 
-    def _piece(self, task: Task, a: int, b: int, outputs: tuple[str, ...] | None = None) -> Task:
-        along = tuple({s: 1.0} for s in self.states) + task.along if self.exact else ()
+    def _piece(self, task: Task, a: int, b: int, outputs: tuple[str, ...] | None = None) -> _Piece:
+        by_state = tuple({s: 1.0} for s in self.states) if self.exact else ()
         fine = refined(task, self.variables)
         part = slice(fine.every * a, fine.every * (b - 1) + 1)
-        return replace(
+        plain = replace(
             fine,
             time=fine.time[part],
             inputs={n: u[part] for n, u in fine.inputs.items()},
             outputs=outputs or task.outputs,
-            along=along,
+            along=(),
         )
+        sloped = replace(plain, along=by_state) if self.exact else plain
+        whole = replace(plain, along=by_state + task.along) if self.exact and task.along else sloped
+        return _Piece(plain, sloped, whole)
 
     def _cut_out(self) -> _Cut:
         time, counts = self.task.time, np.count_nonzero(self.weight > 0.0, axis=0)
@@ -363,26 +459,27 @@ class Segmented(Wrapped):
         first = tuple(_bounds(time, counts, growth.length, least))
         return replace(self._swept(first)[0], growth=growth)
 
-    def _swept(self, first: Sequence[int]) -> tuple[_Cut, list[tuple[Task, FloatArray]]]:
+    def _swept(self, first: Sequence[int]) -> tuple[_Cut, list[tuple[_Piece, FloatArray]]]:
         """Return the states found segment by segment, each starting where the last one ended, and the tasks."""
         outputs = (*self.task.outputs, *self.states)
         n, scale, guess = len(self.task.outputs), np.zeros(len(self.states)), []
         begin = replace(self.task, time=self.task.time[:2], inputs=_first_two(self.task), outputs=self.states)
         state = self.simulator.simulate(replace(begin, along=()), self.at)[:, 0]
-        pieces: list[tuple[Task, FloatArray]] = []
+        pieces: list[tuple[_Piece, FloatArray]] = []
         for a, b in pairwise(first):
             piece = self._piece(self.task, a, min(b + 1, len(self.task.time)), outputs)
             for row, name in enumerate(self.task.outputs):
                 if name in self.states and self.weight[row, a] > 0.0:
                     state[self.states.index(name)] = self.target[row, a]
-            state, run = self._fitted(piece, slice(a, b), state, scale, self.at)
+            state = self._fitted(piece, slice(a, b), state, scale, self.at)
+            run = self._run(piece.plain, self.at, state)
             guess.append(state)
             pieces.append((piece, state))
             state = run[n : n + len(self.states), -1].copy()
         found = np.array(guess)
         return _Cut(tuple(first), read_only(found), read_only(np.ptp(np.vstack([found, state]), axis=0))), pieces
 
-    def _growth(self, cut: _Cut, pieces: Sequence[tuple[Task, FloatArray]]) -> Growth:
+    def _growth(self, cut: _Cut, pieces: Sequence[tuple[_Piece, FloatArray]]) -> Growth:
         """Return how errors of 1 % grow from piece to piece along the measured run."""
         n, n_x = len(self.task.outputs), len(self.states)
         judged = np.where(self.weight > 0.0, self.target, np.nan)
@@ -394,12 +491,12 @@ class Segmented(Wrapped):
         driven = [u for u in driven if sizes[u] > 0.0]
         by_state, by_input = [], []
         for piece, state in pieces:
-            run = self._run(piece, self.at, state)
-            by_state.append(self._slopes(piece, self.at, state, cut.scale, run)[:, :, -1].T)
+            run, slopes = self._sloped(piece, self.at, state, cut.scale)
+            by_state.append(slopes[:, :, -1].T)
             moved = []
             for u in driven:
-                inputs = dict(piece.inputs) | {u: piece.inputs[u] + _ERROR * sizes[u]}
-                other = self._run(replace(piece, inputs=inputs, along=()), self.at, state)
+                inputs = dict(piece.plain.inputs) | {u: piece.plain.inputs[u] + _ERROR * sizes[u]}
+                other = self._run(replace(piece.plain, inputs=inputs), self.at, state)
                 moved.append((other - run[: n + n_x])[:, -1] / _ERROR)
             by_input.append(np.array(moved).T.reshape(n + n_x, len(driven)))
         count = len(pieces)
