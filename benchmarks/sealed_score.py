@@ -34,7 +34,7 @@ def scored(labels: Mapping[str, Mapping[str, Any]], answers: Path) -> list[Score
         label = {
             "case": name, "seed": 0, "rig": number, "stratum": stratum, "effects": effects,
             "same": given.get("same", {}), "places": given.get("places", [e.partition("@")[2] for e in effects]),
-            "background_effects": given.get("background", []), "background_same": [],
+            "background_effects": given.get("background", []), "background_same": [], "as_well": {},
         }  # fmt: skip
         file = answers / f"{name}.json"
         cases.append(Scored(label, {"answer": json.loads(file.read_text())} if file.is_file() else {}))

@@ -4,7 +4,7 @@ run SEED      draw cases, diagnose each in a process of its own that knows nothi
 publish SEED  write what is committed of a seed: `benchmarks/blind/published/<seed>/`
 page          write docs/blind.md from what is published
 calibrate SEED  continue the shipped calibration with the rehearsal of a published seed
-verify        recompute the page from what is committed, and logs of some cases from their seeds
+verify        recompute the page from what is committed, and logs and labels of some cases from their seeds
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -122,8 +122,13 @@ def calibrate(seed: int) -> None:
     file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
 
 
+def _coarse(label: Mapping[str, Any]) -> Any:
+    """Return a label with numbers to three digits, of which processors may differ in the last ones."""
+    return json.loads(json.dumps(label), parse_float=lambda digits: f"{float(digits):.3g}")
+
+
 def verify(count: int) -> list[str]:
-    """Recompute the committed page and logs of some cases; return one line for each difference."""
+    """Recompute the committed page, and logs and labels of some cases; return one line for each difference."""
     import tempfile
 
     from benchmarks.blind.page import page, read_published
@@ -132,11 +137,15 @@ def verify(count: int) -> list[str]:
     if PAGE.read_text(encoding="utf-8") != page(PUBLISHED):
         wrong.append(f"{PAGE} is not what the published labels and answers give")
     for seed in read_published(PUBLISHED):
+        if seed.told["grammar"] != VERSION:
+            print(f"seed {seed.seed}: drawn by grammar {seed.told['grammar']}, at commit {seed.told['commit']}")
+            continue
         hashes: dict[str, dict[str, str]] = {}
         for line in (PUBLISHED / str(seed.seed) / "logs.sha256").read_text().split("\n")[:-1]:
             digest, _, path = line.partition("  ")
             case, _, name = path.partition("/")
             hashes.setdefault(case, {})[name] = digest
+        labels = {label["case"]: label for label in seed.labels}
         chosen = sorted(hashes)[:: max(len(hashes) // count, 1)][:count] if count else []
         for name in chosen:
             with tempfile.TemporaryDirectory() as folder:
@@ -145,7 +154,11 @@ def verify(count: int) -> list[str]:
                     wrong.append(
                         f"seed {seed.seed}: the logs of {name} are not those that its hashes were published of"
                     )
-        print(f"seed {seed.seed}: {len(seed.labels)} cases, logs of {len(chosen)} of them made again", flush=True)
+                if _coarse(case.label) != _coarse(labels[name]):
+                    wrong.append(f"seed {seed.seed}: the label of {name} is not what the seed gives")
+        print(
+            f"seed {seed.seed}: {len(seed.labels)} cases, logs and labels of {len(chosen)} made again", flush=True
+        )
     return wrong
 
 

@@ -60,9 +60,20 @@ def reduced(answer: dict[str, Any]) -> dict[str, Any]:
     reported |= set((answer.get("best") or {}).get("effects", ()))
     kept = {
         k: answer.get(k)
-        for k in ("version", "verdict", "gap", "best", "refinements", "equal", "model", "nominal")
+        for k in (
+            "version",
+            "verdict",
+            "gap",
+            "best",
+            "refinements",
+            "equal",
+            "model",
+            "nominal",
+            "corrected_differs",
+        )
         if k in answer
     }
+    kept["law_found"] = {k: (answer.get("law_found") or {}).get(k) for k in ("formula", "reason", "closure")}
     kept["where"] = answer["where"][:4]
     kept["answers"] = answer["answers"][:8]
     kept["effects"] = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.blind.plants.cases import CHECK, REHEARSAL
 from benchmarks.blind.score import Figure, Scored, figures, in_words, regimes, share
+from benchmarks.timing import table
 
 _INTRODUCTION = """\
 # The blind check
@@ -33,7 +34,7 @@ The first {rehearsal} cases of a seed are a rehearsal, whose labels may be read 
 {check} are the check.
 
     make blind SEED=...       # draw and diagnose
-    make blind-verify         # recompute this page from what is committed, and logs from their seeds
+    make blind-verify         # recompute this page from what is committed, and logs and labels from their seeds
 
 Before any diagnosis, 50 random rigs were compared with their models: `make blind-agreement` (largest difference
 0.001 standard deviations of the noise).
@@ -42,13 +43,13 @@ A gap is in noise floors of a sample after a refit of all parameters. Effects th
 apart (less than 3 standard deviations over all runs, by the plant) count as one. The background's effects may be
 named, and what the runs cannot tell from one of them that is visible itself. Intervals hold 90 %; cases
 cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a rig that is
-not among these lies.
+not among these lies. [Earlier checks](history.md) were on rigs that did not stay unseen.
 """
 _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems:
-whether a discrepancy is seen; F1 of the samples that are named, of those where the effect acts; the relative
-error of the parameters that the runs determine (mean over parameters, median over cases); whether the law is
-named."""
+whether a discrepancy is seen; F1 of the samples in the regimes that are named, of those where the effect acts; the
+relative error of the parameters that the runs determine (mean over parameters); whether the law is named. These
+are the definitions of its abstract."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +118,9 @@ def _section(title: str, seed: Seed, cases: Sequence[Scored]) -> str:
         "",
         _REGIMES,
         "",
-        _table(
-            ("figure", "here", "cases", "LISDD"),
-            ([n, number(v), str(k), f"{p:g}"] for n, v, k, p in regimes(cases)),
+        table(
+            ["figure", "here", "cases", "LISDD"],
+            [[n, number(v), str(k), f"{p:g}"] for n, v, k, p in regimes(cases)],
         ),
         "### By stratum, repeats, noise and rig",
         "",
@@ -144,15 +145,6 @@ def number(value: float | None) -> str:
     )
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [
-        "| " + " | ".join(head) + " |",
-        "|" + "---|" * len(head),
-        *("| " + " | ".join(r) + " |" for r in rows),
-    ]
-    return "\n".join(lines) + "\n"
-
-
 def _aims(found: Sequence[Figure]) -> str:
     def bounds(pair: tuple[float, float] | None) -> str:
         return "" if pair is None else f"{pair[0]:.2f} to {pair[1]:.2f}"
@@ -162,19 +154,9 @@ def _aims(found: Sequence[Figure]) -> str:
         aim = f"{f.lower:g} to {f.upper:g}" if f.lower is not None and f.upper is not None else ""
         aim = aim or (f"≥ {f.lower:g}" if f.lower is not None else f"≤ {f.upper:g}" if f.upper is not None else "")
         met = {True: "yes", False: "no", None: ""}[f.met]
-        rows.append(
-            [
-                f.name,
-                aim,
-                number(f.value),
-                bounds(f.interval),
-                bounds(f.new_rig),
-                str(f.cases),
-                str(f.rigs or ""),
-                met,
-            ]
-        )
-    return _table(("figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met"), rows)
+        intervals = [bounds(f.interval), bounds(f.new_rig)]
+        rows.append([f.name, aim, number(f.value), *intervals, str(f.cases), str(f.rigs or ""), met])
+    return table(["figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met"], rows) + "\n"
 
 
 def _shares(cases: Sequence[Scored]) -> str:
@@ -197,7 +179,7 @@ def _shares(cases: Sequence[Scored]) -> str:
                     f"{np.median(seconds):.0f}" if seconds else "",
                 ]
             )  # fmt: skip
-    return _table(("by", "which", "cases", "right", "verdicts", "seconds"), rows)
+    return table(["by", "which", "cases", "right", "verdicts", "seconds"], rows) + "\n"
 
 
 def _misses(seed: Seed, cases: Sequence[Scored]) -> str:
@@ -220,4 +202,4 @@ def _misses(seed: Seed, cases: Sequence[Scored]) -> str:
                 in_words(case.answer) if case.answer else "none", seed.reasons.get(label["case"], case.reason),
             ]
         )  # fmt: skip
-    return _table(("case", "rig", "truth", "gap", "background", "logs", "verdict", "reason"), rows)
+    return table(["case", "rig", "truth", "gap", "background", "logs", "verdict", "reason"], rows) + "\n"

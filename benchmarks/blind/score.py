@@ -18,6 +18,7 @@ from benchmarks.blind.plants.cases import bad_file
 
 _NAMING = ("effect", "partial", "ambiguous")
 _BINS = 10  # of the probability, each with as many cases
+_SPEEDS = ("rad/s", "m/s")
 _NEAR = 0.03  # of an aim: how far an interval may reach beyond it
 LISDD = {"detection": 1.0, "localisation F1": 0.80, "parameter bias": 0.002, "right form": 1.0}  # arXiv 2606.23215
 
@@ -277,7 +278,12 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
         share("wrong name, provisional", cases, lambda c: c.wrong and c.provisional, upper=0.08),
         share("a coefficient that varies: it and its variable right", both["varies"], _right, lower=0.75),
         share("unknown: place right", both["unknown"], lambda c: c.placed, lower=0.85),
-        Figure("unknown: learned table closes on left-out runs, median", _median(tables), len(tables), lower=0.7),
+        Figure("unknown: corrected/ closes on left-out runs, median", _median(tables), len(tables), lower=0.7),
+        share(
+            "unknown: an equation is found",
+            [c for c in both["unknown"] if c.answer],
+            lambda c: bool(((c.answer or {}).get("law_found") or {}).get("formula")),
+        ),
         share("two effects: both right", both["two"], _right, lower=0.80),
         share(
             "size inside its 90 % interval", [c for c, _ in sizes], lambda c: _of(sizes, c), lower=0.85, upper=0.95
@@ -288,6 +294,12 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
             lambda c: _of(closures, c),
             lower=0.85,
             upper=0.95,
+        ),
+        share(
+            "corrected/ is the fitted model, to 0.05 standard deviations",
+            [c for c in cases if c.answer and c.answer.get("corrected_differs") is not None],
+            lambda c: bool(c.answer and c.answer["corrected_differs"] <= 0.05),
+            lower=1.0,
         ),
         Figure("calibration error of the likeliest answer", *calibration(cases), upper=0.03),
         _same_information(everything),
@@ -359,10 +371,10 @@ def _closure_covered(case: Scored) -> bool | None:
 
 
 def _learned(case: Scored) -> float | None:
-    best = (case.answer or {}).get("best") or {}
-    closure = best.get("closure") or {}
-    value = closure.get("held_out") if isinstance(closure, dict) else closure
-    return float(value) if value is not None and case.kind == "unknown" else None
+    """Return the left-out closure of the best explanation, 0 without one; None unless the verdict is unknown."""
+    if not case.answer or case.kind != "unknown":
+        return None
+    return float(((case.answer.get("best") or {}).get("closure") or {}).get("held_out") or 0.0)
 
 
 def calibration(cases: Sequence[Scored]) -> tuple[float | None, int]:
@@ -408,7 +420,7 @@ def localisation(case: Scored) -> float:
     node = case.label["places"][0].removesuffix(".balance")
     for place in (case.answer or {"where": []})["where"]:
         bounds = place.get("regime")
-        if bounds and node in bounds["variable"].removesuffix(".balance"):
+        if bounds and node in bounds["variable"] and (bounds["unit"] in _SPEEDS) is (regime["what"] == "rate"):
             found |= (x >= bounds["from"]) & (x <= bounds["to"])
     hit = float(np.sum(truth & found))
     return 2 * hit / max(float(truth.sum() + found.sum()), 1.0)
@@ -435,6 +447,7 @@ def regimes(cases: Sequence[Scored]) -> list[tuple[str, float | None, int, float
     return [
         ("detection", mean([c.alarmed for c in own]), len(own), LISDD["detection"]),
         ("localisation F1", mean([localisation(c) for c in own]), len(own), LISDD["localisation F1"]),
-        ("parameter bias", float(np.median(biases)) if biases else None, len(biases), LISDD["parameter bias"]),
+        ("parameter bias, mean", mean(biases), len(biases), LISDD["parameter bias"]),
+        ("parameter bias, median", _median(biases), len(biases), LISDD["parameter bias"]),
         ("right form", mean([c.right for c in own]), len(own), LISDD["right form"]),
     ]

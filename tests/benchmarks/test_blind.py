@@ -187,6 +187,17 @@ def test_only_the_damaged_logs_may_be_refused():
     assert [n for n, value in figure.items() if value == 1.0] == [("aborted_1.csv",)]
 
 
+def test_what_corrects_an_unknown_effect_counts_also_where_nothing_does():
+    cases = [scored(kind="unknown", stratum="unknown", case=f"c{k}") for k in range(3)]
+    cases[0].answer["best"] = {"closure": {"held_out": 0.8}}
+    cases[0].answer["law_found"] = {"formula": "1 N*p"}
+    cases[1].answer["corrected_differs"] = 0.2
+    found = {f.name.partition(",")[0]: f.value for f in figures(cases)}
+    assert found["unknown: corrected/ closes on left-out runs"] == 0.0
+    assert found["unknown: an equation is found"] == pytest.approx(1 / 3)
+    assert found["corrected/ is the fitted model"] == 0.0
+
+
 def test_the_ends_of_a_branch_may_come_in_either_order():
     label = {"effects": ["backlash@v_a.v_b"], "same": {}}
     assert Scored(LABEL | label, scored(effects=["backlash@v_b.v_a"]).record).right
@@ -211,7 +222,11 @@ def test_the_regime_that_is_named_is_compared_sample_by_sample():
     regime = {"what": "rate", "over": 1.0, "trace": [-2.0, -0.5, 0.5, 1.5, 2.5, 0.0]}
     case = scored(stratum="regime", regime=regime, places=["rotor"], kind="unknown")
     assert localisation(case) == 0.0
-    case.answer["where"].append({"regime": {"variable": "rotor.w", "from": 1.2, "to": 3.0}})
+    # Neither a position nor time is what decides.
+    case.answer["where"].append({"regime": {"variable": "phi_rotor", "unit": "rad", "from": 1.2, "to": 3.0}})
+    case.answer["where"].append({"regime": {"variable": "time", "unit": "s", "from": 1.2, "to": 3.0}})
+    assert localisation(case) == 0.0
+    case.answer["where"].append({"regime": {"variable": "rotor.w", "unit": "rad/s", "from": 1.2, "to": 3.0}})
     assert localisation(case) == pytest.approx(2 * 2 / (3 + 2))
     assert bias(case) == pytest.approx(0.1)
 
@@ -233,6 +248,9 @@ def test_the_page_is_what_is_published_and_a_changed_answer_is_noticed(tmp_path,
     answers.write_text(answers.read_text().replace('"complete"', '"unknown"'))
     (folder / "logs.sha256").write_text((folder / "logs.sha256").read_text().replace("  c", "0  c", 1))
     assert len(verify(1)) == 2
+    labels = folder / "labels.jsonl"
+    labels.write_text(labels.read_text().replace('"stratum":"', '"stratum":"x'))
+    assert any("the label of c0016" in line for line in verify(1))
 
 
 def test_the_committed_page_is_what_the_published_seeds_give():

@@ -22,6 +22,8 @@ SHAPES = {
     "delay": 2, "saturation": 3, "dead_zone": 3, "crosstalk": 2, "coefficient": 4,
 }  # fmt: skip
 UNKNOWN = ("resonator", "wear", "pulsation", "relay", "chaos", "slip")
+_TWO_SIDED = ("gain", "offset", "drift", "crosstalk", "asymmetry", "cogging", "weight", "coefficient")
+_MECHANICAL = ("stribeck", "coulomb", "asymmetry", "quadratic", "presliding", "weight", "viscous", "cogging")
 AT_INPUTS = ("gain", "offset", "delay", "lag", "saturation", "dead_zone")
 AT_OUTPUTS = ("gain", "offset", "drift", "lag", "delay", "crosstalk")
 _PARTS = 8  # of a sample, in which late signals are followed
@@ -181,21 +183,10 @@ class Candidate:
     @property
     def two_sided(self) -> bool:
         """Whether the other sign is as plausible."""
-        return self.law in (
-            "gain",
-            "offset",
-            "drift",
-            "crosstalk",
-            "asymmetry",
-            "cogging",
-            "weight",
-            "coefficient",
-        )
+        return self.law in _TWO_SIDED
 
 
-def candidates(
-    rig: Rig, typical: Usual, rng: np.random.Generator, laws: Sequence[str] | None = None
-) -> list[Candidate]:
+def candidates(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Candidate]:
     """Return the effects that may act on a rig, each in shape 0 and with drawn numbers of its shape."""
     found = []
     for k, node in enumerate(rig.network.nodes):
@@ -220,7 +211,7 @@ def candidates(
                 if law == "crosstalk":
                     size *= typical.outputs[k] / typical.outputs[other]
                 found.append(Candidate(law, signal.name, SignalEffect(law, 0, is_input, k, size, other)))
-    return [c for c in found if laws is None or c.law in laws]
+    return found
 
 
 def _laws_at(rig: Rig, k: int) -> list[str]:
@@ -228,8 +219,7 @@ def _laws_at(rig: Rig, k: int) -> list[str]:
     here = [e for e in rig.network.elements if k in (e.a, e.b)]
     grounded = {e.kind for e in here if e.b < 0}
     if node.mechanical:
-        laws = ["stribeck", "coulomb", "asymmetry", "quadratic", "presliding", "weight", "viscous"]
-        laws += ["cogging"] if node.domain == "rotational" else []
+        laws = _MECHANICAL if node.domain == "rotational" else _MECHANICAL[:-1]
         has = {"dry": ("coulomb",), "drag": ("quadratic",), "cond": ("viscous",)}
         return [law for law in laws if not any(law in has.get(kind, ()) for kind in grounded)]
     laws = {
@@ -350,18 +340,8 @@ def gated(candidate: Candidate, typical: Usual, rng: np.random.Generator) -> Can
     """Return a law at a node in one regime only: over or under a threshold of the potential or the rate."""
     effect = candidate.effect
     assert isinstance(effect, Effect)
-    mechanical = effect.law in (
-        "stribeck",
-        "coulomb",
-        "asymmetry",
-        "quadratic",
-        "viscous",
-        "weight",
-        "presliding",
-        "cogging",
-    )
     p = float(typical.potential[effect.where])
-    if mechanical:
+    if effect.law in _MECHANICAL:
         return replace(candidate, effect=replace(effect, gate=2.0, threshold=float(rng.uniform(0.35, 0.6)) * p))
     middle = effect.zero if effect.law not in ("outflow", "overflow", "leakage") else 0.0
     return replace(

@@ -256,6 +256,10 @@ class _Drawing:
         self.parameters.append(Parameter(name, rounded, unit, words, slot, inverse))
         return 1.0 / rounded if inverse else rounded
 
+    def first(self, name: str, value: float, unit: str, words: str) -> float:
+        """Note the first parameter of the element that is added next."""
+        return self.keep(name, value, unit, words, ("element", len(self.elements), 0))
+
     # Parts
 
     def store(self, domain: str, size: float | None = None) -> int:
@@ -301,13 +305,9 @@ class _Drawing:
     def damper(self, node: int, size: float | None = None) -> None:
         d = self.nodes[node].domain
         unit = "N.m.s/rad" if d == "rotational" else "N.s/m"
-        name, k = self.called(f"{self.nodes[node].name}_bearing"), len(self.elements)
-        g = self.keep(
-            f"{name}.d",
-            (size or self.near(-0.7, 0.0)) * self.F[d] / self.P[d],
-            unit,
-            "Viscous friction",
-            ("element", k, 0),
+        name = self.called(f"{self.nodes[node].name}_bearing")
+        g = self.first(
+            f"{name}.d", (size or self.near(-0.7, 0.0)) * self.F[d] / self.P[d], unit, "Viscous friction"
         )
         self.add(Element("cond", name, node, p=(g, 0.0)))
 
@@ -340,23 +340,15 @@ class _Drawing:
             self.spring(bodies[-1], -1)
         if self.chance(0.3):
             body = bodies[int(self.rng.integers(len(bodies)))]
-            name, k = self.called(f"{self.nodes[body].name}_seal"), len(self.elements)
+            name = self.called(f"{self.nodes[body].name}_seal")
             unit = "N.m" if domain == "rotational" else "N"
-            f = self.keep(
-                f"{name}.F", 0.15 * self.near() * self.F[domain], unit, "Dry friction", ("element", k, 0)
-            )
+            f = self.first(f"{name}.F", 0.15 * self.near() * self.F[domain], unit, "Dry friction")
             self.add(Element("dry", name, body, p=(f, float(f"{0.02 * self.P[domain]:.1g}"))))
         elif self.chance(0.2):
             body = bodies[-1]
-            name, k = self.called(f"{self.nodes[body].name}_drag"), len(self.elements)
+            name = self.called(f"{self.nodes[body].name}_drag")
             unit = "N.m.s2/rad2" if domain == "rotational" else "N.s2/m2"
-            f = self.keep(
-                f"{name}.K",
-                0.3 * self.near() * self.F[domain] / self.P[domain] ** 2,
-                unit,
-                "Drag",
-                ("element", k, 0),
-            )
+            f = self.first(f"{name}.K", 0.3 * self.near() * self.F[domain] / self.P[domain] ** 2, unit, "Drag")
             self.add(Element("drag", name, body, p=(f,)))
         return bodies
 
@@ -398,28 +390,18 @@ class _Drawing:
         return stores
 
     def conductor(self, a: int, b: int) -> None:
-        name, k = self.called("conductor" if b >= 0 else f"{self.nodes[a].name}_loss"), len(self.elements)
-        g = self.keep(
-            f"{name}.G",
-            self.near() * self.F["thermal"] / self.P["thermal"],
-            "W/K",
-            "Conductance",
-            ("element", k, 0),
-        )
+        name = self.called("conductor" if b >= 0 else f"{self.nodes[a].name}_loss")
+        g = self.first(f"{name}.G", self.near() * self.F["thermal"] / self.P["thermal"], "W/K", "Conductance")
         self.add(Element("cond", name, a, b, p=(g, AMBIENT if b < 0 else 0.0)))
 
     def tanks(self, count: int) -> list[int]:
         """Add tanks that drain one into another."""
         tanks = [self.store("tank") for _ in range(count)]
         for a, b in zip(tanks, [*tanks[1:], -1], strict=True):
-            name, k = self.called("valve"), len(self.elements)
+            name = self.called("valve")
             p0, f0 = self.P["tank"], self.F["tank"]
-            size = self.keep(
-                f"{name}.K",
-                self.near(-0.15, 0.15) * f0 / np.sqrt(p0),
-                "m2.5/s",
-                "Flow by root of the level",
-                ("element", k, 0),
+            size = self.first(
+                f"{name}.K", self.near(-0.15, 0.15) * f0 / np.sqrt(p0), "m2.5/s", "Flow by root of the level"
             )
             self.add(Element("valve", name, a, b, p=(size, float(f"{0.03 * p0:.1g}"))))
         return tanks
@@ -508,13 +490,9 @@ class _Drawing:
         self.inputs.append(Signal("u", "V", "Heater voltage", 0.0, 1.5 * self.P["electrical"]))
         self.nodes.append(Node("supply", "electrical", driven=0))
         stores = self.warm(int(self.rng.integers(1, 4)))
-        name, k = self.called("heater"), len(self.elements)
-        r = self.keep(
-            f"{name}.R",
-            self.near(-0.2, 0.2) * self.P["electrical"] / self.F["electrical"],
-            "Ohm",
-            "Resistance",
-            ("element", k, 0),
+        name = self.called("heater")
+        r = self.first(
+            f"{name}.R", self.near(-0.2, 0.2) * self.P["electrical"] / self.F["electrical"], "Ohm", "Resistance"
         )
         self.elements.append(Element("heater", name, 0, c=stores[0], p=(r,)))
 
@@ -522,23 +500,15 @@ class _Drawing:
         self.measure("mechanical", ["hydraulic", "translational"])
         chamber = self.store("hydraulic")
         self.pushed(chamber)
-        name, k = self.called(f"{self.nodes[chamber].name}_leak"), len(self.elements)
-        g = self.keep(
-            f"{name}.G",
-            self.near(-0.4, 0.0) * self.F["hydraulic"] / self.P["hydraulic"],
-            "m3/(s.Pa)",
-            "Leakage",
-            ("element", k, 0),
+        name = self.called(f"{self.nodes[chamber].name}_leak")
+        g = self.first(
+            f"{name}.G", self.near(-0.4, 0.0) * self.F["hydraulic"] / self.P["hydraulic"], "m3/(s.Pa)", "Leakage"
         )
         self.add(Element("cond", name, chamber, p=(g, 0.0)))
         body = self.store("translational")
-        name, k = self.called("piston"), len(self.elements)
-        area = self.keep(
-            f"{name}.A",
-            self.near(-0.2, 0.2) * self.F["translational"] / self.P["hydraulic"],
-            "m2",
-            "Area",
-            ("element", k, 0),
+        name = self.called("piston")
+        area = self.first(
+            f"{name}.A", self.near(-0.2, 0.2) * self.F["translational"] / self.P["hydraulic"], "m2", "Area"
         )
         self.elements.append(Element("piston", name, chamber, body, p=(area,)))
         self.chain("translational", int(self.rng.integers(1, 3)), first=body)
