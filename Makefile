@@ -200,7 +200,8 @@ docs: $(READY)
 	$(PIP) --editable ".[build,docs]"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-# Checks the version, changelog and pages, runs CHECKS, builds sdist and wheel in dist/, tries the wheel and tags the commit.
+# Checks the version, changelog and pages, runs CHECKS, builds the sdist and the wheels in dist/, tries them and tags the
+# commit.
 CHECKS ?= test docs
 release: $(READY)
 	CHECKS="$(CHECKS)" PYTHON=$(PYTHON) .ci/release
