@@ -160,9 +160,9 @@ def derivatives_table(costs: Sequence[evaluation.DerivativeCost]) -> str:
     return table(["of", "parameters", "sensitivities", "forward differences", "central differences"], rows)
 
 
-def integrator_table(found: Mapping[str, Mapping[float, tuple[float, float]]]) -> str:
+def integrator_table(measured: Mapping[str, Mapping[float, tuple[float, float]]]) -> str:
     rows = []
-    for label, by_error in found.items():
+    for label, by_error in measured.items():
         for error, (mine, theirs) in by_error.items():
             fails = theirs == float("inf")
             rows.append(
@@ -172,18 +172,18 @@ def integrator_table(found: Mapping[str, Mapping[float, tuple[float, float]]]) -
     return table(["experiment", "error", "FMU (ms)", "CVODES (ms)", "ratio"], rows)
 
 
-def parallel_table(found: Sequence[evaluation.Parallel], missing: str) -> str:
+def parallel_table(measured: Sequence[evaluation.Parallel], missing: str) -> str:
     rows = [
         [p.what, f"{1e3 * p.run:.2g}", f"{1e3 * p.times.median:.0f}", f"{p.gain:.2f}", f"{p.times.noise:.2f}"]
-        for p in found
+        for p in measured
     ]
     rows += [["Dask, 2 local workers", "", "missing", missing, ""]] if missing else []
     return table(["where", "one run (ms)", "time (ms)", "times one worker's speed", "noise"], rows)
 
 
-def scale_table(found: Mapping[str, Mapping[int, float]]) -> str:
-    sizes = sorted({size for times in found.values() for size in times})
-    rows = [[what, *(_ms(times[s]) if s in times else "" for s in sizes)] for what, times in found.items()]
+def scale_table(measured: Mapping[str, Mapping[int, float]]) -> str:
+    sizes = sorted({size for times in measured.values() for size in times})
+    rows = [[what, *(_ms(times[s]) if s in times else "" for s in sizes)] for what, times in measured.items()]
     text = "Time in ms over multiples: of the samples of a run, and the runs of a stage."
     return text + "\n\n" + table(["", *(f"{s} times" for s in sizes)], rows)
 
@@ -192,7 +192,7 @@ def _ms(seconds: float) -> str:
     return f"{1e3 * seconds:.0f}" if seconds > 0.1 else f"{1e3 * seconds:.3g}"
 
 
-def draw(found: Mapping[str, Mapping[int, float]], path: Path) -> None:
+def draw(measured: Mapping[str, Mapping[int, float]], path: Path) -> None:
     """Draw time over size, and a line of slope one through the largest."""
     import matplotlib as mpl
 
@@ -202,7 +202,7 @@ def draw(found: Mapping[str, Mapping[int, float]], path: Path) -> None:
     from fmuid.report.plots.style import BLUE, GREEN, GREY, ORANGE
 
     figure, axes = plt.subplots(figsize=(5.0, 3.4), layout="constrained")
-    for (what, times), colour, marker in zip(found.items(), (BLUE, ORANGE, GREEN), "osD", strict=False):
+    for (what, times), colour, marker in zip(measured.items(), (BLUE, ORANGE, GREEN), "osD", strict=False):
         sizes, seconds = list(times), list(times.values())
         axes.loglog(sizes, seconds, marker + "-", color=colour, label=what)
         axes.loglog(sizes, [seconds[-1] * s / sizes[-1] for s in sizes], "--", color=GREY, lw=0.8)
@@ -248,9 +248,9 @@ def measure(out: Path, *, quick: bool) -> str:
         part("parallel", lambda: parallel_table(*evaluation.parallel(1 if quick else 5)))
         chains = {"sizes": (3,), "repeats": 1, "tolerances": (1e-3, 1e-4)} if quick else {"sizes": (10, 100, 1000)}
         part("chain", lambda: chain.page(chain.measure(folder, **chains)))
-        found = evaluation.scaling(sizes, 5.0 if quick else 60.0)
-        part("scale", lambda: scale_table(found))
-        draw(found, out.parent / FIGURE)
+        scaled = evaluation.scaling(sizes, 5.0 if quick else 60.0)
+        part("scale", lambda: scale_table(scaled))
+        draw(scaled, out.parent / FIGURE)
         evaluations, grown = evaluation.memory(300 if quick else 10_500)
         part(
             "imports",

@@ -64,7 +64,7 @@ class Beside:
 
     def overlays(self) -> list[Overlay]:
         """Return measurement and both predictions of every signal of the validation runs."""
-        found = []
+        drawn = []
         for k, case in enumerate(self.ours.cases):
             for row, channel in enumerate(case.channels):
                 lines = tuple(
@@ -75,8 +75,8 @@ class Beside:
                     )
                     if prediction is not None
                 )
-                found.append(Overlay(case.id, channel.signal, channel.unit or "", case.time, channel.mean, lines))
-        return found
+                drawn.append(Overlay(case.id, channel.signal, channel.unit or "", case.time, channel.mean, lines))
+        return drawn
 
 
 def beside(result: Result, campaign: Campaign, source: str) -> Beside:
@@ -110,10 +110,10 @@ def main(arguments: Sequence[str]) -> int:
 def _command(arguments: Sequence[str]) -> None:
     run, source, shown = Path(arguments[0]), arguments[1], (*arguments[2:], "*")[0]
     result = Result.from_json(run)
-    found = beside(result, load_campaign(result.source), source)
-    overlays = [o for o in found.overlays() if fnmatchcase(o.experiment, shown)]
+    compared = beside(result, load_campaign(result.source), source)
+    overlays = [o for o in compared.overlays() if fnmatchcase(o.experiment, shown)]
     title = f"Validation runs: measured, and predicted with the parameters of {source} and with those identified"
-    print(found.parameters(), found.errors(), sep="\n\n")
+    print(compared.parameters(), compared.errors(), sep="\n\n")
     print(*save_figure(overlay_figure(f"beside-{source}", title, overlays), run), sep="\n")
 
 

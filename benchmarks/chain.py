@@ -125,29 +125,31 @@ def measure(
     folder: Path, sizes: Sequence[int], *, repeats: int = 3, tolerances: Sequence[float] = TOLERANCES
 ) -> list[Size]:
     """Measure every size."""
-    found = []
+    measured = []
     for n in sizes:
         say(f"  {n} masses")
-        found.append(_measured(folder, n, repeats, tolerances))
-    return found
+        measured.append(_measured(folder, n, repeats, tolerances))
+    return measured
 
 
-def page(found: Sequence[Size]) -> str:
+def page(measured: Sequence[Size]) -> str:
     """Return the tables: builds, and times with those of others over them."""
-    builds = table(["masses", *(str(s.n) for s in found)], [["build (s)", *(f"{s.build:.1f}" for s in found)]])
+    builds = table(
+        ["masses", *(str(s.n) for s in measured)], [["build (s)", *(f"{s.build:.1f}" for s in measured)]]
+    )
     rows = []
-    for size in found:
+    for size in measured:
         for error in ERRORS:
-            own = size.time("fmuid", error)
-            rows.append([str(size.n), f"{error:.0e}", f"{1e3 * own:.3g}"])
-            rows[-1] += [_beside(own, size.time(tool, error), missing=tool not in size.curves) for tool in PEERS]
+            ours = size.time("fmuid", error)
+            rows.append([str(size.n), f"{error:.0e}", f"{1e3 * ours:.3g}"])
+            rows[-1] += [_beside(ours, size.time(tool, error), missing=tool not in size.curves) for tool in PEERS]
     return builds + "\n\n" + table(["masses", "error", "fmuid (ms)", *(f"fmuid / {tool}" for tool in PEERS)], rows)
 
 
-def _beside(own: float, other: float, *, missing: bool) -> str:
+def _beside(ours: float, other: float, *, missing: bool) -> str:
     if missing:
         return "missing"
-    return f"{own / other:.2g}" if np.isfinite(other) else "does not reach it"
+    return f"{ours / other:.2g}" if np.isfinite(other) else "does not reach it"
 
 
 def _measured(folder: Path, n: int, repeats: int, tolerances: Sequence[float]) -> Size:
@@ -171,7 +173,7 @@ def _measured(folder: Path, n: int, repeats: int, tolerances: Sequence[float]) -
 def _curve(
     run: Callable[[float], np.ndarray], truth: np.ndarray, repeats: int, tolerances: Sequence[float]
 ) -> Curve:
-    found: Curve = []
+    curve: Curve = []
     for tolerance in tolerances:
         try:
             run(tolerance)  # compiled and loaded at the first time
@@ -184,10 +186,10 @@ def _curve(
                     break
         except RuntimeError:
             continue
-        found.append((_error(y, truth), min(times)))
-        if found[-1][1] > _LIMIT:
+        curve.append((_error(y, truth), min(times)))
+        if curve[-1][1] > _LIMIT:
             break
-    return found
+    return curve
 
 
 def _error(y: np.ndarray, truth: np.ndarray) -> float:
@@ -195,12 +197,12 @@ def _error(y: np.ndarray, truth: np.ndarray) -> float:
 
 
 def _truth(n: int) -> np.ndarray:
-    f, y, found = slopes(n), np.zeros(2 * n), [0.0]
+    f, y, truth = slopes(n), np.zeros(2 * n), [0.0]
     for u, begin, end in zip(force()[:-1], TIME[:-1], TIME[1:], strict=True):
         step = solve_ivp(lambda _, x, u=u: f(x, u), (begin, end), y, method="DOP853", rtol=1e-12, atol=1e-14)
         y = step.y[:, -1]
-        found.append(float(y[0]))
-    return np.array(found)
+        truth.append(float(y[0]))
+    return np.array(truth)
 
 
 def _cvodes(n: int) -> Callable[[float], np.ndarray]:
@@ -226,14 +228,14 @@ def _scipy(n: int, method: str) -> Callable[[float], np.ndarray]:
     f, u, sparsity = slopes(n), force(), pattern(n)
 
     def run(tolerance: float) -> np.ndarray:
-        found = solve_ivp(
+        solution = solve_ivp(
             lambda t, y: f(y, u[min(int(100.0 * t + 1e-9), len(u) - 1)]), (0.0, TIME[-1]), np.zeros(2 * n),
             method=method, t_eval=TIME, rtol=tolerance, atol=1e-3 * tolerance, max_step=0.01,
             jac_sparsity=sparsity,
         )  # fmt: skip
-        if not found.success:
-            raise RuntimeError(found.message)
-        return np.asarray(found.y[0])
+        if not solution.success:
+            raise RuntimeError(solution.message)
+        return np.asarray(solution.y[0])
 
     return run
 

@@ -89,8 +89,8 @@ def _failed_assertion(model: CompiledModel) -> bool:
     env = instance.env(0.0, instance.start())
     z, m, x = instance.settle(env, 1.0)
     env[1], env[5], env[6], env[7] = x, z, z, m
-    found = model.functions["asserts"](*env)
-    return bool(np.any(values(found[0] if isinstance(found, tuple) else found) == 0))
+    results = model.functions["asserts"](*env)
+    return bool(np.any(values(results[0] if isinstance(results, tuple) else results) == 0))
 
 
 def page(outcomes: Sequence[Outcome]) -> str:
@@ -105,10 +105,10 @@ def page(outcomes: Sequence[Outcome]) -> str:
     ]  # fmt: skip
     chapters = sorted({o.case.name.partition(".")[0] for o in outcomes})
     for chapter in (*chapters, ""):
-        own = [o for o in outcomes if o.case.name.startswith(chapter)]
+        of_chapter = [o for o in outcomes if o.case.name.startswith(chapter)]
         cells = []
         for should_pass in (True, False):
-            these = [o for o in own if o.case.should_pass == should_pass]
+            these = [o for o in of_chapter if o.case.should_pass == should_pass]
             cells += [str(len(these)), str(sum(o.is_right for o in these))]
         lines.append(f"| {chapter or 'all'} | {' | '.join(cells)} |")
     lines += ["", "[The other tests](modelica_compliance.csv), with what happens to each.", ""]
@@ -137,8 +137,8 @@ def main() -> None:
     with ProcessPoolExecutor() as pool:
         outcomes = list(pool.map(partial(judge, roots=[options.suite, *options.root]), wanted, chunksize=8))
     for should_pass, what in ((True, "should pass"), (False, "should be refused")):
-        own = [o for o in outcomes if o.case.should_pass == should_pass]
-        print(f"{what}: {sum(o.is_right for o in own)} of {len(own)} are right")
+        of_kind = [o for o in outcomes if o.case.should_pass == should_pass]
+        print(f"{what}: {sum(o.is_right for o in of_kind)} of {len(of_kind)} are right")
     if options.page:
         options.page.write_text(page(outcomes))
         write_misses(outcomes, options.page.with_suffix(".csv"))

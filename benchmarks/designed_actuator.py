@@ -69,17 +69,17 @@ def designed(what: Campaign, *, evaluations: int = 300) -> ParameterDesign:
     return design_for_parameters(what, load_simulator, in_process, optimality="A", evaluations=evaluations)
 
 
-def told(found: ParameterDesign, samples: FloatArray) -> FloatArray:
+def told(design: ParameterDesign, samples: FloatArray) -> FloatArray:
     """Return the information of one run with these samples, relative to the parameters' values."""
-    values = np.array(list(found.values.values()))
-    return found.criterion.information(samples, found.values) * np.outer(values, values)
+    values = np.array(list(design.values.values()))
+    return design.criterion.information(samples, design.values) * np.outer(values, values)
 
 
-def least(found: ParameterDesign) -> float:
+def least(design: ParameterDesign) -> float:
     """Return a sum of squared relative standard errors that no input of this range and duration can pass."""
-    planned = found.planned
+    planned = design.planned
     bounds = tuple(d.bounds for d in planned.driven)
-    posed = relaxed(found.criterion.response(found.values), bounds, planned.time, iterations=3000)
+    posed = relaxed(design.criterion.response(design.values), bounds, planned.time, iterations=3000)
     assert posed is not None
     return posed.bound
 
@@ -99,16 +99,16 @@ def against_the_paper() -> list[float]:
         amplitude = max(float(np.max(np.abs(u))) for u in inputs)
         duration = sum(plan[name].interval * (len(u) - 1) for name, u in zip(names, inputs, strict=True))
         posed = campaign(linear(), _FRICTIONLESS, amplitude=amplitude, duration=duration, initial={"phi_s": 2e-6})
-        found = designed(posed)
+        design = designed(posed)
         if len(names) == 1:
-            papers[names[0]] = told(found, inputs[0][None])
+            papers[names[0]] = told(design, inputs[0][None])
         paper = squares(sum((papers[name] for name in names), np.zeros((3, 3))))
-        own = squares(told(found, found.excitation.samples))
-        gains.append(paper / own)
+        designed_volume = squares(told(design, design.excitation.samples))
+        gains.append(paper / designed_volume)
         print(
             f"{' + '.join(n.split('_')[0] for n in names):24} {amplitude:5.2f} {duration:5.2f}"
-            f" {paper:18.4g} {own:12.4g} {gains[-1]:8.2f} {paper / least(found):8.2f}  "
-            f"{found.excitation.description}",
+            f" {paper:18.4g} {designed_volume:12.4g} {gains[-1]:8.2f} {paper / least(design):8.2f}  "
+            f"{design.excitation.description}",
             flush=True,
         )
     return gains
@@ -130,14 +130,14 @@ def at_standstill() -> None:
         for c in truth
     }
     what = campaign(free, known, amplitude=0.5, duration=0.9, initial={"phi_s": 2e-6}, repeats=plan.repeats)
-    found = designed(what)
-    run = PlannedExperiment("designed", "fixed_shaft", 5e-4, found.excitation.samples[0])
-    own = tuple(e for e in plan.experiments if e.id in ("step_0p5", "prbs_0p5", "step_1p0"))
+    design = designed(what)
+    run = PlannedExperiment("designed", "fixed_shaft", 5e-4, design.excitation.samples[0])
+    recorded = tuple(e for e in plan.experiments if e.id in ("step_0p5", "prbs_0p5", "step_1p0"))
     print(
-        f"\nfriction at standstill: {found.excitation.description}, {len(run.inputs) * 5e-4:.2g} s, "
+        f"\nfriction at standstill: {design.excitation.description}, {len(run.inputs) * 5e-4:.2g} s, "
         f"{plan.repeats} times"
     )
-    for label, runs in (("designed run", (run,)), ("the campaign's own", own)):
+    for label, runs in (("designed run", (run,)), ("the campaign's own", recorded)):
         measured = carry_out(replace(plan, experiments=runs))
         ids = tuple(measured.experiments)
         stage = StageSpec("standstill", ids, tuple(free))

@@ -112,7 +112,7 @@ class DerivativeCost:
 def derivatives(repeats: int) -> list[DerivativeCost]:
     """The Jacobian of the linear stage by sensitivities and by differences, with few and many parameters."""
     problem = linear_stage()
-    found = []
+    costs = []
     for n in (len(problem.space), 12):
         larger = problem if n == len(problem.space) else _with_more(problem, n)
         here = larger.evaluate(larger.space.start)
@@ -137,8 +137,8 @@ def derivatives(repeats: int) -> list[DerivativeCost]:
         times = in_turn(runs, repeats)
         unit = times["run"].median
         ratios = (times[k].median / unit for k in ("exact", "forward", "central"))
-        found.append(DerivativeCost("the linear stage", n, *ratios))
-    return found
+        costs.append(DerivativeCost("the linear stage", n, *ratios))
+    return costs
 
 
 def derivatives_of_runs(folder: Path, repeats: int) -> list[DerivativeCost]:
@@ -173,7 +173,7 @@ def derivatives_of_runs(folder: Path, repeats: int) -> list[DerivativeCost]:
             {"controller.kp": 0.02, "plant.mgr": 20.0},
         ),
     ]
-    found = []
+    costs = []
     for what, model, reference, outputs, values in models:
         plain = Task(time, {reference: speed}, outputs, {}, "linear")
         exact = replace(plain, along=tuple({name: 1.0} for name in values))
@@ -186,24 +186,24 @@ def derivatives_of_runs(folder: Path, repeats: int) -> list[DerivativeCost]:
             repeats,
         )
         ratio = times["exact"].median / times["run"].median
-        found.append(DerivativeCost(what, len(values), ratio, len(values), 2 * len(values)))
-    return found
+        costs.append(DerivativeCost(what, len(values), ratio, len(values), 2 * len(values)))
+    return costs
 
 
 def _with_more(problem: Problem, n: int) -> Problem:
     """Return the problem with further parameters of the actuator free."""
-    own = [replace(s, free=True) for s in problem.space.free]
-    names = {s.name for s in own}
+    free = [replace(s, free=True) for s in problem.space.free]
+    names = {s.name for s in free}
     variables = problem.cases[0].simulator.variables
     more = [
         fmuid.ParameterSpec(v.name, v.start, 0.5 * v.start, 2.0 * v.start)
         for v in variables.values()
         if v.causality == "parameter" and v.type == "Real" and v.start and v.start > 0 and v.name not in names
-    ][: n - len(own)]
+    ][: n - len(free)]
     unit = next(iter(problem.cases[0].setting.values()))[1]
     same = type(unit)()
     cases = [replace(c, setting={**c.setting, **{s.name: (s.name, same) for s in more}}) for c in problem.cases]
-    return Problem(cases, [*own, *more])
+    return Problem(cases, [*free, *more])
 
 
 @dataclass(frozen=True)
@@ -230,16 +230,16 @@ def parallel(repeats: int, *, dask: bool = True) -> tuple[list[Parallel], str]:
     short: list[Job] = [(fmu, task, {"d_S": 2.0 + 1e-3 * k}) for k in range(400)]
     run = in_turn({"": lambda: in_process(short)}, repeats, time.perf_counter)[""]
     alone = run.median / len(short)
-    found: dict[str, Times] = {}
+    measured: dict[str, Times] = {}
     for workers in (1, 2):
         with WorkerPool(workers) as pool:
             pool.run(short[:20])  # the workers start
-            found[f"{workers} worker{'s' * (workers > 1)}"] = in_turn(
+            measured[f"{workers} worker{'s' * (workers > 1)}"] = in_turn(
                 {"": lambda: pool.run(short)}, repeats, time.perf_counter
             )[""]
-    one = found["1 worker"].median
+    one = measured["1 worker"].median
     rows = [Parallel("this process", run, alone, one / run.median)]
-    rows += [Parallel(what, times, alone, one / times.median) for what, times in found.items()]
+    rows += [Parallel(what, times, alone, one / times.median) for what, times in measured.items()]
     missing = ""
     if dask:
         try:
@@ -270,7 +270,7 @@ def _on_dask(repeats: int) -> list[Parallel]:
 
     from fmuid.simulation.pool.remote import dask_executor, on_executor
 
-    found: list[Times] = []
+    measured: list[Times] = []
     with tempfile.TemporaryDirectory() as folder:
         fmu, _ = chain.build(_LONG, Path(folder))
         task = Task(chain.TIME, {"u": chain.force()}, ("y",))
@@ -284,9 +284,9 @@ def _on_dask(repeats: int) -> list[Parallel]:
                 run: Runner = on_executor(executor)
                 for _ in range(3):  # the workers start their processes, and it is seen how long a run takes
                     run(long[:10])
-                found.append(in_turn({"": lambda run=run: run(long)}, repeats, time.perf_counter)[""])  # type: ignore[misc]
+                measured.append(in_turn({"": lambda run=run: run(long)}, repeats, time.perf_counter)[""])  # type: ignore[misc]
     names = ("Dask, 1 local worker", "Dask, 2 local workers")
-    return [Parallel(n, t, alone, found[0].median / t.median) for n, t in zip(names, found, strict=True)]
+    return [Parallel(n, t, alone, measured[0].median / t.median) for n, t in zip(names, measured, strict=True)]
 
 
 def memory(evaluations: int) -> tuple[int, float]:
@@ -303,12 +303,12 @@ def grown(evaluations: int) -> float:
     """Evaluate a run of the stage again and again; see `memory`."""
     problem = linear_stage()
     case = min(problem.cases, key=lambda c: len(c.task.time))
-    own = [replace(s, free=True) for s in problem.space.free]
-    small = Problem([case], own)
+    free = [replace(s, free=True) for s in problem.space.free]
+    small = Problem([case], free)
     rng = np.random.default_rng(0)
     begun = 0
     for k in range(evaluations):
-        small.evaluate(small.space.start * (1.0 + 1e-3 * rng.standard_normal(len(own))))
+        small.evaluate(small.space.start * (1.0 + 1e-3 * rng.standard_normal(len(free))))
         if k == min(500, evaluations // 2):
             gc.collect()
             with suppress(AttributeError):  # what setting up has left would be filled first
@@ -330,7 +330,7 @@ def imports(repeats: int) -> dict[str, float]:
         time.perf_counter,
     )
     bare = times.pop("bare").median
-    return {name: found.median - bare for name, found in times.items()}
+    return {name: measured.median - bare for name, measured in times.items()}
 
 
 def builds(folder: Path, setups: Sequence[str]) -> dict[str, float]:
@@ -345,17 +345,17 @@ def builds(folder: Path, setups: Sequence[str]) -> dict[str, float]:
 
 def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], budget: float) -> dict[int, float]:
     """Return the least time in s by size, until a size would take longer than the budget."""
-    found: dict[int, float] = {}
+    seconds: dict[int, float] = {}
     for size in sizes:
         run = make(size)
         begun = time.process_time()
         run()
         first = time.process_time() - begun
         again = 0 if first > 2.0 else 2
-        found[size] = min([first, *(_timed(run) for _ in range(again))])
-        if found[size] * 10 > budget:
+        seconds[size] = min([first, *(_timed(run) for _ in range(again))])
+        if seconds[size] * 10 > budget:
             break
-    return found
+    return seconds
 
 
 def _timed(run: Callable[[], object]) -> float:

@@ -189,11 +189,11 @@ def _all_on(job: Race, folder: Path, limit: float, repeats: int) -> list[Finish]
     runs: dict[str, list[Finish]] = {}
     for _ in range(repeats):
         for peer in (FMUID, *PEERS):
-            own = runs.setdefault(peer[0], [])
-            if not own or own[0].seconds < SHORT:
+            finishes = runs.setdefault(peer[0], [])
+            if not finishes or finishes[0].seconds < SHORT:
                 say(f"  {peer[0]}")
-                own.append(with_peer(peer, file, limit))
-    return [sorted(own, key=lambda f: f.seconds)[len(own) // 2] for own in runs.values()]
+                finishes.append(with_peer(peer, file, limit))
+    return [sorted(finishes, key=lambda f: f.seconds)[len(finishes) // 2] for finishes in runs.values()]
 
 
 def page(races: Mapping[str, Sequence[Finish]]) -> str:

@@ -119,12 +119,12 @@ def interval_coverage(
     truth, stages = fitted_stages(campaign, stage, draws=draws, kind=kind, seed=seed, simulators=simulators)
     inside, deviations, warned = [], [], []
     names: tuple[str, ...] = ()
-    for found in stages:
-        names = tuple(e.name for e in found.estimates)
-        pairs = [(found[n], (aim or truth)[n]) for n in names]
+    for result in stages:
+        names = tuple(e.name for e in result.estimates)
+        pairs = [(result[n], (aim or truth)[n]) for n in names]
         inside.append([e.interval is not None and e.interval[0] < v < e.interval[1] for e, v in pairs])
         deviations.append([(e.value - v) / (e.standard_error or np.nan) for e, v in pairs])
-        warned.append(bool(found.warnings) or not found.sound or any(e.note for e in found.estimates))
+        warned.append(bool(result.warnings) or not result.sound or any(e.note for e in result.estimates))
     return Coverage(
         names, np.array(inside, dtype=np.float64), np.array(deviations), np.array(warned, dtype=np.float64)
     )

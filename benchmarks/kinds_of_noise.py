@@ -78,14 +78,14 @@ def light_coverage(kind: str, draws: int, *, runs: int = RUNS) -> Coverage:
     simulators, aim = {"bench": Lag()}, None
     if kind == "friction":
         aim = best_values(kind, simulators)
-    found = [
+    coverages = [
         interval_coverage(
             light_campaign(seed, runs), _STAGE, draws=1, kind=kind, seed=seed, simulators=simulators, aim=aim
         )
         for seed in range(draws)
     ]
-    joined = (np.concatenate([getattr(one, of) for one in found]) for of in ("inside", "deviations", "warned"))
-    return Coverage(found[0].names, *joined)
+    joined = (np.concatenate([getattr(one, of) for one in coverages]) for of in ("inside", "deviations", "warned"))
+    return Coverage(coverages[0].names, *joined)
 
 
 def best_values(kind: str, simulators: Mapping[str, Simulator]) -> dict[str, float]:
@@ -103,10 +103,10 @@ def page(draws: int) -> str:
     rows += [(f"the same gain, {runs} run{'s' * (runs > 1)}", "gain", runs) for runs in (1, 2, 3)]
     lines = ["| measurements | k | T | b | mean | with a warning or mark |", "|---|---|---|---|---|---|"]
     for words, kind, runs in rows:
-        found = light_coverage(kind, draws, runs=runs)
-        shares = [*found.shares, np.mean(found.shares)]
+        coverage = light_coverage(kind, draws, runs=runs)
+        shares = [*coverage.shares, np.mean(coverage.shares)]
         cells = " | ".join(f"{100 * share:.0f}" for share in shares)
-        lines.append(f"| {words} | {cells} | {100 * np.mean(found.warned):.0f} |")
+        lines.append(f"| {words} | {cells} | {100 * np.mean(coverage.warned):.0f} |")
     return "\n".join(lines)
 
 

@@ -102,22 +102,22 @@ def peak(*command: str) -> tuple[float, float]:
 
 def table() -> None:
     """Print the peaks of all sizes, row by row."""
-    own, fmuid = (sys.executable, __file__), (str(Path(sys.executable).with_name("fmuid")),)
+    this_file, fmuid = (sys.executable, __file__), (str(Path(sys.executable).with_name("fmuid")),)
     print("| what | number | peak (MB) | processor time (s) | size (MB) |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         for count in RUNS:
             folder = Path(name, f"runs{count}")
-            found = folder / "found"
+            run = folder / "found"
             folder.mkdir()
-            peak(*own, "runs", str(folder), str(count))
-            to = ("--out", str(found), "--no-report", "--workers", "1", "--quiet")
-            row("`fmuid identify`, runs", count, (*fmuid, "identify", str(folder), *to), found)
-            row("`fmuid report`, runs", count, (*fmuid, "report", str(found), "--quiet"), found / "index.html")
+            peak(*this_file, "runs", str(folder), str(count))
+            to = ("--out", str(run), "--no-report", "--workers", "1", "--quiet")
+            row("`fmuid identify`, runs", count, (*fmuid, "identify", str(folder), *to), run)
+            row("`fmuid report`, runs", count, (*fmuid, "report", str(run), "--quiet"), run / "index.html")
         for count in EVALUATIONS:
             folder = Path(name, f"rows{count}")
             history = folder / "history.h5"
-            row("history written, evaluations", count, (*own, "history", str(folder), str(count)), history)
-            row("history read, evaluations", count, (*own, "read", str(folder), "0"), history)
+            row("history written, evaluations", count, (*this_file, "history", str(folder), str(count)), history)
+            row("history read, evaluations", count, (*this_file, "read", str(folder), "0"), history)
 
 
 def row(what: str, count: int, command: Sequence[str], product: Path) -> None:

@@ -36,10 +36,10 @@ def ode(rates: Callable[[float, np.ndarray], Sequence[float]], start: Sequence[f
     """Reference solution of an initial value problem."""
 
     def law(t: np.ndarray) -> Signals:
-        found = solve_ivp(
+        solution = solve_ivp(
             rates, (t[0], t[-1]), start, t_eval=t, rtol=1e-10, atol=1e-12, method="LSODA", max_step=0.05
         )
-        return dict(zip(names, found.y, strict=True))
+        return dict(zip(names, solution.y, strict=True))
 
     return law
 
@@ -182,7 +182,7 @@ NOTES = {
 
 def models(book: Path) -> list[str]:
     """Return the complete models: examples, and those of the chapters whose models are all complete."""
-    found = []
+    models = []
     for file in sorted((book / "ModelicaByExample").rglob("*.mo")):
         text = file.read_text(errors="replace")
         package = re.search(r"within ([\w.]+);", text)
@@ -193,8 +193,8 @@ def models(book: Path) -> list[str]:
             r"ModelicaByExample\.(BasicEquations|DiscreteBehavior|ArrayEquations|Functions)\b", package[1]
         )
         if ".Examples" in package[1] or "experiment" in text or chapter:
-            found.append(f"{package[1]}.{model[2]}")
-    return found
+            models.append(f"{package[1]}.{model[2]}")
+    return models
 
 
 def stop_times(book: Path, names: Sequence[str]) -> tuple[dict[str, float], set[str]]:
@@ -258,13 +258,13 @@ def judge(book: Path, library: Path, name: str, stop: float | None) -> dict[str,
 def page(results: dict[str, dict[str, Any]], shown: set[str]) -> str:
     """Make the page of the docs."""
 
-    def row(what: str, own: list[dict[str, Any]]) -> str:
-        counts = Counter(r["stage"] for r in own)
+    def row(what: str, of_package: list[dict[str, Any]]) -> str:
+        counts = Counter(r["stage"] for r in of_package)
         reached = [sum(counts[s] for s in STAGES[k:]) for k in (1, 2, 3)]
-        checked = [r for r in own if "nothing to compare" not in r["why"]]
+        checked = [r for r in of_package if "nothing to compare" not in r["why"]]
         known = sum(r["stage"] == "right" for r in checked)
         wrong = sum(r["stage"] == "simulated" for r in checked)
-        return f"| {what} | {len(own)} | {' | '.join(map(str, reached))} | {known} | {wrong} |"
+        return f"| {what} | {len(of_package)} | {' | '.join(map(str, reached))} | {known} | {wrong} |"
 
     lines = [
         "# Modelica by Example", "",

@@ -111,13 +111,13 @@ def independent(changed: str, source: Path) -> list[str]:
     needs: dict[str, set[str]] = {}
     for file in source.rglob("fmuid/**/*.py"):
         name = ".".join(file.relative_to(source).with_suffix("").parts).removesuffix(".__init__")
-        found = {name.rpartition(".")[0]}
+        imported = {name.rpartition(".")[0]}
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module:
-                found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+                imported |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
             elif isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
-        needs[name] = found
+                imported |= {alias.name for alias in node.names}
+        needs[name] = imported
     del needs["fmuid"]  # which imports nothing before it is asked for
     reached = {changed}
     while further := {name for name, of in needs.items() if name not in reached and of & reached}:

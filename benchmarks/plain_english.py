@@ -58,13 +58,13 @@ def prose(path: Path) -> Iterator[tuple[int, str]]:
 
 def faults(path: Path) -> list[str]:
     """Return one line for each habit that a file shows."""
-    found = []
+    lines = []
     for line, text in prose(path):
         for habit, advice in _HABITS.items():
             for match in habit.finditer(text):
                 place = f"{path.relative_to(ROOT)}:{line + text.count(chr(10), 0, match.start())}"
-                found.append(f"{place}: '{' '.join(match[0].split())}': {advice}")
-    return found
+                lines.append(f"{place}: '{' '.join(match[0].split())}': {advice}")
+    return lines
 
 
 def files() -> list[Path]:

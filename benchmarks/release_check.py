@@ -26,31 +26,31 @@ def sections(changelog: str) -> dict[str, str]:
 def problems(root: Path) -> list[str]:
     """Return the corrections that the files need before a release."""
     version = version_of(root)
-    found = []
+    wrong = []
     if not re.fullmatch(r"\d+\.\d+\.\d+", version):
-        found.append(f"pyproject.toml: version {version} is not MAJOR.MINOR.PATCH")
+        wrong.append(f"pyproject.toml: version {version} is not MAJOR.MINOR.PATCH")
     if f"\nversion: {version}\n" not in (root / "CITATION.cff").read_text():
-        found.append(f"CITATION.cff: has another version; write version: {version}")
+        wrong.append(f"CITATION.cff: has another version; write version: {version}")
     texts = sections((root / "CHANGELOG.md").read_text())
     if texts.get("Unreleased", "").strip():
-        found.append(f"CHANGELOG.md: has changes under Unreleased; move them to ## {version}")
+        wrong.append(f"CHANGELOG.md: has changes under Unreleased; move them to ## {version}")
     if version not in texts:
-        found.append(f"CHANGELOG.md: has no section ## {version}")
+        wrong.append(f"CHANGELOG.md: has no section ## {version}")
     else:
         lines = [line for line in texts[version].splitlines() if line.strip() and not line.startswith("### ")]
         if len(lines) > LINES:
-            found.append(
+            wrong.append(
                 f"CHANGELOG.md: {version} has {len(lines)} lines; at most {LINES}, results belong on pages"
             )
         others = set(re.findall(r"^### (.*)$", texts[version], re.MULTILINE)) - set(HEADINGS)
         if others:
-            found.append(
+            wrong.append(
                 f"CHANGELOG.md: {version} has headings other than {', '.join(HEADINGS)}: {sorted(others)}"
             )
     minor = version.rpartition(".")[0]
     if version.endswith(".0") and f" to {minor}\n" not in (root / "docs" / "upgrade.md").read_text():
-        found.append(f"docs/upgrade.md: has no section on the upgrade to {minor}")
-    return found
+        wrong.append(f"docs/upgrade.md: has no section on the upgrade to {minor}")
+    return wrong
 
 
 def version_of(root: Path) -> str:
@@ -66,13 +66,13 @@ def git(*arguments: str) -> str:
 def main() -> int:
     """Print the version, or what has to be corrected; return the exit code."""
     version = version_of(ROOT)
-    found = problems(ROOT)
+    wrong = problems(ROOT)
     if git("status", "--porcelain", "--untracked-files=no"):
-        found.append("the clone has changes that are not committed")
+        wrong.append("the clone has changes that are not committed")
     if git("tag", "--list", f"v{version}"):
-        found.append(f"v{version} is already tagged; raise the version in pyproject.toml and CITATION.cff")
-    print("\n".join(found) if found else version, file=sys.stderr if found else sys.stdout)
-    return bool(found)
+        wrong.append(f"v{version} is already tagged; raise the version in pyproject.toml and CITATION.cff")
+    print("\n".join(wrong) if wrong else version, file=sys.stderr if wrong else sys.stdout)
+    return bool(wrong)
 
 
 if __name__ == "__main__":

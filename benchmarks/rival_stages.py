@@ -118,7 +118,7 @@ def _counts(stage: StageResult) -> tuple[int, int]:
 
 
 def _absolute_errors(validation: Validation, signal: str) -> dict[str, FloatArray]:
-    found = {}
+    errors = {}
     for case, prediction in zip(validation.cases, validation.predictions, strict=True):
         rows = [k for k, c in enumerate(case.channels) if c.signal == signal]
         if not rows:
@@ -127,8 +127,8 @@ def _absolute_errors(validation: Validation, signal: str) -> dict[str, FloatArra
         if prediction is None:
             raise CampaignError(f"run '{case.id}' cannot be simulated", fix="see fmuid validate")
         error = np.abs(prediction[rows[0]] - case.channels[rows[0]].mean)
-        found[case.id] = error[np.isfinite(error)]
-    return found
+        errors[case.id] = error[np.isfinite(error)]
+    return errors
 
 
 def _spread(better: Sequence[FloatArray], rng: np.random.Generator) -> tuple[float, float]:

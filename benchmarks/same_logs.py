@@ -81,8 +81,8 @@ def with_mujoco(folder: Path, python: Path) -> tuple[dict[str, list[float]], flo
     """Return the same of mujoco.sysid, which has no diagnosis."""
     command = [str(python), str(HERE / "peers" / "with_mujoco.py"), str(folder / "logs")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout.splitlines()[-1])
-    return found["values"], found["seconds"], "–"
+    answer = json.loads(done.stdout.splitlines()[-1])
+    return answer["values"], answer["seconds"], "–"
 
 
 def main(out: Path, python: Path) -> None:

@@ -44,8 +44,8 @@ def diagnose_case(template: Path | None, measurements: Path, target: Path) -> st
     from fmuid.diagnosis_pipeline import answer_of, diagnose
 
     campaign = load_campaign(template or measurements.parent, measurements=measurements)
-    found = diagnose(campaign, workers=0)
-    answer = answer_of(found)
+    outcome = diagnose(campaign, workers=0)
+    answer = answer_of(outcome)
     write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
     return verdict_in_words(answer)
 

@@ -46,8 +46,8 @@ STAGES = ("refused", "built", "valid", "matches")
 def examples(reference: Path, package: str) -> list[str]:
     """Classes of a package that have reference results."""
     folder = reference.joinpath(*package.split("."))
-    found = {p.parent for p in folder.rglob("*.csv")}
-    return sorted(".".join(p.relative_to(reference).parts) for p in found)
+    folders = {p.parent for p in folder.rglob("*.csv")}
+    return sorted(".".join(p.relative_to(reference).parts) for p in folders)
 
 
 def read(file: Path) -> dict[str, np.ndarray]:
@@ -145,11 +145,11 @@ def page(results: dict[str, dict[str, Any]]) -> str:
         "| package | examples | built | valid | match |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for package in PACKAGES:
-        own = [r for n, r in results.items() if n.startswith(f"{package}.")]
-        if own:
-            counts = Counter(r["stage"] for r in own)
+        of_package = [r for n, r in results.items() if n.startswith(f"{package}.")]
+        if of_package:
+            counts = Counter(r["stage"] for r in of_package)
             total = [sum(counts[s] for s in STAGES[k:]) for k in (1, 2, 3)]
-            lines.append(f"| `{package}` | {len(own)} | {total[0]} | {total[1]} | {total[2]} |")
+            lines.append(f"| `{package}` | {len(of_package)} | {total[0]} | {total[1]} | {total[2]} |")
     total = Counter(r["stage"] for r in results.values())
     lines += ["", f"{total['matches']} of {len(results)} match."]
     lines += ["", "## What does not match", "", "| example | reached | why |", "|---|---|---|"]

@@ -42,14 +42,14 @@ def in_turn(
     The clock is that of this process, which other processes hardly disturb; for anything that waits for another
     process it must be `time.perf_counter`.
     """
-    found: dict[str, list[float]] = {name: [] for name in runs}
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
     for k in range(repeats + 1):
         for name, run in runs.items():
             begun = clock()
             run()
             if k:
-                found[name].append(clock() - begun)
-    return {name: Times(tuple(times)) for name, times in found.items()}
+                seconds[name].append(clock() - begun)
+    return {name: Times(tuple(times)) for name, times in seconds.items()}
 
 
 def machine() -> str:

@@ -111,8 +111,8 @@ def _items(value: Value, like: Value) -> tuple[Scalar, ...]:
 
 
 def _whole(scope: ModelScope, name: str) -> Value:
-    found = scope.declarations.values.get(name)
-    return scope.lookup(name) if found is None else found
+    value = scope.declarations.values.get(name)
+    return scope.lookup(name) if value is None else value
 
 
 def _before(scope: ModelScope, name: str, initial: bool) -> Value:

@@ -136,8 +136,8 @@ def _digest(path: Path) -> str:
 @cache
 def _tools() -> list[str]:
     """Return the digests of this package's files, which a process loads once."""
-    own = Path(__file__).parent
-    return [_digest(p) for p in sorted(own.rglob("*")) if p.suffix in (".py", ".c", ".h", ".mo")]
+    folder = Path(__file__).parent
+    return [_digest(p) for p in sorted(folder.rglob("*")) if p.suffix in (".py", ".c", ".h", ".mo")]
 
 
 def built_by() -> str:

@@ -186,38 +186,38 @@ def _guards(
     needed = {node: always for node in range(len(operations)) if node in results}
     for node in range(len(operations) - 1, -1, -1):
         op, given = operations[node]
-        own = needed.get(node, frozenset())
+        needed_here = needed.get(node, frozenset())
         for place, below in enumerate(given):
-            use = frozenset(given[:1]) if op == ca.OP_IF_ELSE_ZERO and place == 1 else own
+            use = frozenset(given[:1]) if op == ca.OP_IF_ELSE_ZERO and place == 1 else needed_here
             either = needed.get(below, frozenset()) | use
             needed[below] = either if len(either) <= _MOST_CONDITIONS else always
     short = _short(operations, leaf)
-    found: dict[Node, _Tree] = {}
+    guards: dict[Node, _Tree] = {}
     for node, on in needed.items():
         whatever = any(operations[c][0] == ca.OP_NOT and operations[c][1][0] in on for c in on)
         if on and not whatever and all(condition in short for condition in on):
             trees = [short[condition] for condition in sorted(on)]
             leaves = [at for tree in trees for at in tree[1]]
-            found[node] = "||".join(tree[0] for tree in trees), leaves, sum(tree[2] for tree in trees)
-    return found
+            guards[node] = "||".join(tree[0] for tree in trees), leaves, sum(tree[2] for tree in trees)
+    return guards
 
 
 def _short(
     operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str]
 ) -> dict[Node, _Tree]:
     """Return the trees of values that take few operations from the arguments."""
-    found: dict[Node, _Tree] = {}
+    short: dict[Node, _Tree] = {}
     for node, (op, given) in enumerate(operations):
         at = leaf.get(node)
         if at is not None:
-            found[node] = (at, [], 0) if isinstance(at, str) else ("{}", [at], 0)
-        elif all(n in found for n in given):
-            below = [found[n] for n in given]
+            short[node] = (at, [], 0) if isinstance(at, str) else ("{}", [at], 0)
+        elif all(n in short for n in given):
+            below = [short[n] for n in given]
             size = 1 + sum(tree[2] for tree in below)
             if size <= _LARGEST_CONDITION:
                 shape = _TEMPLATES[op].format(*(tree[0] for tree in below))
-                found[node] = shape, [leaf_ for tree in below for leaf_ in tree[1]], size
-    return found
+                short[node] = shape, [leaf_ for tree in below for leaf_ in tree[1]], size
+    return short
 
 
 def _guarded(condition: _Tree | None, shape: str, leaves: list[Leaf], size: int) -> _Tree:
@@ -304,15 +304,15 @@ class _Trees:
             size = 1 + sum(b[2] for b in below)
         shape = _TEMPLATES[op].format(*(b[0] for b in below))
         leaves = [at for b in below for at in b[1]]
-        own = self._results.get(node, [])
-        if self._used[node] == 1 and not own:
+        results = self._results.get(node, [])
+        if self._used[node] == 1 and not results:
             self._trees[node] = (shape, leaves, size)
-        elif len(own) <= _MOST_RESULTS:
+        elif len(results) <= _MOST_RESULTS:
             guarded = _guarded(self._guards.get(node), shape, leaves, size)
-            self._statements.append(_Statement(node, *guarded, own))
+            self._statements.append(_Statement(node, *guarded, results))
         else:
             self._statements.append(_Statement(node, shape, leaves, size))
-            self._copies += [_Statement(-1, "{}", [(-1, node)], 0, [result]) for result in own]
+            self._copies += [_Statement(-1, "{}", [(-1, node)], 0, [result]) for result in results]
 
 
 class _Writer:
@@ -454,8 +454,8 @@ class _Writer:
             for k, position in s.results:
                 by_result.setdefault(k, []).append(f"    r{k}[{position}] = {local[s.node]};")
         head = [f"  const double* const a{k} = arg[{k}];" for k in sorted(arguments)]
-        for k, own in sorted(by_result.items()):
-            stores += [f"  double* const r{k} = res[{k}];", f"  if (r{k}) {{", *own, "  }"]
+        for k, lines_of_result in sorted(by_result.items()):
+            stores += [f"  double* const r{k} = res[{k}];", f"  if (r{k}) {{", *lines_of_result, "  }"]
         return "\n".join([*head, *lines, *stores, ""])
 
     def _loop(self, group: Sequence[_Statement]) -> str:

@@ -131,13 +131,13 @@ def _slopes(graph: Graph, ports: Ports, results: Sequence[SX], symbols: Sequence
     places = {key(symbol): j for j, symbol in enumerate(symbols)}
     for j, pair in enumerate(zip(ports.z, ports.pz, strict=True), len(symbols)):
         places |= {key(symbol): j for symbol in pair}
-    found = []
+    slopes = []
     for i, row in enumerate(map(graph.gradient, results)):
         by_place: dict[int, list[SX]] = {}
         for j, k in sorted((places[k], k) for k in row if k in places):
             by_place.setdefault(j, []).append(row[k])
-        found += [(i, j, sum(own[1:], own[0])) for j, own in by_place.items()]
-    return found
+        slopes += [(i, j, sum(parts[1:], parts[0])) for j, parts in by_place.items()]
+    return slopes
 
 
 def make_functions(graph: Graph, ports: Ports, e: Expressions, by: Slopes) -> Functions:
@@ -311,14 +311,14 @@ def c_files(functions: Functions, header: Header) -> Files:
         f"static const int MODEL_OUTPUT[] = {{{_integers(header.outputs)}}};",
         f"static const int MODEL_LINEAR[] = {{{_integers(by.linear)}}};",
         f"static const double MODEL_CONSTANT[] = {{{_numbers([float(slope) for *_, slope in by.constants])}}};",
-        *(f"#define MODEL_N{kind} {len(own)}" for kind, own in kinds.items()),
+        *(f"#define MODEL_N{kind} {len(entries)}" for kind, entries in kinds.items()),
         *(
-            f"static const int MODEL_{kind}_ROW[] = {{{_integers(i for i, *_ in own)}}};"
-            for kind, own in places.items()
+            f"static const int MODEL_{kind}_ROW[] = {{{_integers(i for i, *_ in entries)}}};"
+            for kind, entries in places.items()
         ),
         *(
-            f"static const int MODEL_{kind}_COLUMN[] = {{{_integers(j for _, j, _ in own)}}};"
-            for kind, own in places.items()
+            f"static const int MODEL_{kind}_COLUMN[] = {{{_integers(j for _, j, _ in entries)}}};"
+            for kind, entries in places.items()
         ),
         "",
     ]

@@ -76,9 +76,9 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
 
 def _deciding(scope: ModelScope, constants: set[str], value: SX) -> set[str]:
     """Return the parameters, other than `constants`, that determine a value; none if others also determine it."""
-    found = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(value)]
-    parameters = [d.variable.name for d in found if d is not None and d.kind == "parameter"]
-    return set(parameters) - constants if len(parameters) == len(found) else set()
+    declared = [scope.declarations.by_symbol.get(k) for k in scope.graph.symbols(value)]
+    parameters = [d.variable.name for d in declared if d is not None and d.kind == "parameter"]
+    return set(parameters) - constants if len(parameters) == len(declared) else set()
 
 
 def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
@@ -88,7 +88,7 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
     for section in flat.initial_algorithms:
         equations.initial += algorithms.run(scope, section, initial=True)
     _check_discrete(scope, equations)
-    equations.asserts += [Assertion(*found) for found in scope.functions.asserts]
+    equations.asserts += [Assertion(*parts) for parts in scope.functions.asserts]
     explicit = _initial_parameters(scope, equations)
     system = solved(scope, equations)
     _check_left_limits(system)
@@ -152,15 +152,15 @@ def _as_state(flat: FlatModel, name: str) -> FlatModel:
 def _with_followers(flat: FlatModel, name: str) -> FlatModel:
     """Return the model in which the parameters that a variable determines are variables of its kind."""
     variables, variability = dict(flat.variables), flat.variables[name].variability
-    found = [name]
-    while found:
-        decided = found.pop()
+    waiting = [name]
+    while waiting:
+        decided = waiting.pop()
         for follower, variable in variables.items():
             if variable.variability == "parameter" and any(
                 r.name == decided for r in references(variable.binding)
             ):
                 variables[follower] = replace(variable, variability=variability, fixed=None)
-                found.append(follower)
+                waiting.append(follower)
     return replace(flat, variables=MappingProxyType(variables))
 
 

@@ -56,8 +56,8 @@ def plan(columns: Sequence[Sequence[int]]) -> Elimination:
         for row in rows:
             incidence[row].append(column)
     rest = []
-    for row, own in enumerate(incidence):  # the diagonal where present
-        if row in own:
+    for row, columns_of_row in enumerate(incidence):  # the diagonal where present
+        if row in columns_of_row:
             row_of[row] = row
         else:
             rest.append(row)
@@ -83,8 +83,8 @@ def _minimum_degree(columns: Sequence[Sequence[int]], row_of: dict[int, int]) ->
                 near[column].add(other)
                 near[other].add(column)
     buckets: list[set[int]] = [set() for _ in range(len(columns) + 1)]
-    for column, own in enumerate(near):
-        buckets[len(own)].add(column)
+    for column, neighbours in enumerate(near):
+        buckets[len(neighbours)].add(column)
     order: list[int] = []
     least = 0
     while len(order) < len(columns):
@@ -93,10 +93,10 @@ def _minimum_degree(columns: Sequence[Sequence[int]], row_of: dict[int, int]) ->
         column = min(buckets[least])
         buckets[least].remove(column)
         order.append(column)
-        own = near[column]
-        for other in own:
+        neighbours = near[column]
+        for other in neighbours:
             buckets[len(near[other])].remove(other)
-            near[other] |= own
+            near[other] |= neighbours
             near[other] -= {other, column}
             buckets[len(near[other])].add(other)
             least = min(least, len(near[other]))
@@ -109,8 +109,8 @@ def _symbolic(columns: list[list[int]], order: list[int], step_of_row: dict[int,
     lower: list[list[int]] = []
     start, diagonal, rows, multiplications = [0], [], [], 0
     updated: list[bool] = []
-    for k, own in enumerate(columns):
-        inside = {*own, k}
+    for k, below in enumerate(columns):
+        inside = {*below, k}
         todo = [row for row in inside if row < k]
         while todo:
             for row in lower[todo.pop()]:

@@ -133,15 +133,15 @@ def _spread(value: Value, like: Value) -> tuple[Scalar, ...]:
 
 def definable(scope: ModelScope, equation: Equation) -> list[SX]:
     """Discrete variables that an equation may define: sides that no when-clause or algorithm assigns."""
-    found = []
+    sides = []
     for side in equation.sides or ():
         declared = scope.declared(side) if side.is_symbolic() else None
         if declared is None or declared.kind != "discrete":
             continue
         is_target = equation.target is not None and key(side) == key(equation.target)
         if is_target or not {declared.name, declared.variable.name} & (scope.assigned | scope.in_algorithms):
-            found.append(side)
-    return found
+            sides.append(side)
+    return sides
 
 
 def _scalar_equations(scope: ModelScope, equation: Flat) -> list[Equation]:

@@ -273,11 +273,11 @@ class FlatModel:
 
     def equations_of(self, component: str) -> Iterator[tuple[int, Equation]]:
         """Yield number and equation of each equation in the class of a component itself."""
-        own = ("class", "binding")
+        kinds = ("class", "binding")
         return (
             (i, e)
             for i, e in enumerate(self.equations)
-            if e.origin.component == component and e.origin.kind in own
+            if e.origin.component == component and e.origin.kind in kinds
         )
 
     def bindings(self) -> Iterator[tuple[str, Expression]]:

@@ -170,11 +170,11 @@ class Graph:
 
 def fold(root: SX, memory: dict[int, tuple[SX, T]], visit: Callable[[SX, list[T]], T]) -> T:
     """Post-order walk without recursion; the memory keeps the nodes alive so that keys stay unique."""
-    own = key(root)
-    found = memory.get(own)
-    if found is not None:
-        return found[1]
-    stack: list[tuple[int, SX, list[tuple[int, SX]] | None]] = [(own, root, None)]
+    root_key = key(root)
+    known = memory.get(root_key)
+    if known is not None:
+        return known[1]
+    stack: list[tuple[int, SX, list[tuple[int, SX]] | None]] = [(root_key, root, None)]
     while stack:
         k, node, below = stack.pop()
         if k in memory:
@@ -188,7 +188,7 @@ def fold(root: SX, memory: dict[int, tuple[SX, T]], visit: Callable[[SX, list[T]
                 stack += [(at, d, None) for at, d in missing]
                 continue
         memory[k] = (node, visit(node, [memory[at][1] for at, _ in below]))
-    return memory[own][1]
+    return memory[root_key][1]
 
 
 def _chain(node: SX, parts: list[Gradient]) -> Gradient:

@@ -90,12 +90,12 @@ class _System:
 
     def highest(self, equation: int) -> list[int]:
         """Return the variables whose highest derivative is in an equation, in a fixed order."""
-        found = []
+        places = []
         for k in self.graph.symbols(self.equations[equation].residual):
             place = self.place.get(k)
             if place is not None and place[1] == len(self.chains[place[0]]) - 1:
-                found.append(place[0])
-        return sorted(found)
+                places.append(place[0])
+        return sorted(places)
 
     def differentiate(self, equation: int) -> int:
         """Append the time derivative of an equation."""
@@ -268,7 +268,7 @@ def _select(
 
 def _names(system: _System) -> dict[int, tuple[int, bool, bool]]:
     """Preference of variables that are not states, by the derivative they equal (``w = der(phi)``)."""
-    found: dict[int, tuple[int, bool, bool]] = {}
+    names: dict[int, tuple[int, bool, bool]] = {}
     for equation in system.equations:
         pair = system.graph.symbols(equation.residual)
         derivatives = [k for k in pair if k in system.scope.integral]
@@ -281,8 +281,8 @@ def _names(system: _System) -> dict[int, tuple[int, bool, bool]]:
         name = next(k for k in pair if k != derivative)
         declared = system.scope.declarations.by_symbol.get(name)
         if declared is not None and name in system.place and len(system.chains[system.place[name][0]]) == 1:
-            found[derivative] = max(preference(declared), found.get(derivative, _UNNAMED))
-    return found
+            names[derivative] = max(preference(declared), names.get(derivative, _UNNAMED))
+    return names
 
 
 def _preference(
@@ -365,9 +365,9 @@ def _eliminate(system: _System, entries: Entries, columns: list[int]) -> tuple[l
         return entry.is_constant() if numbers else not _varies(system, entry)
 
     for numbers in (True, False):  # numbers before parameters, which may become zero
-        waiting, found = columns, True
-        while found:
-            found, tried, waiting = False, waiting, []
+        waiting, progress = columns, True
+        while progress:
+            progress, tried, waiting = False, waiting, []
             for v in tried:
                 pivots = [i for i in holders.get(v, ()) if usable(rows[i][v], numbers)] if v not in used else []
                 if not pivots:
@@ -375,7 +375,7 @@ def _eliminate(system: _System, entries: Entries, columns: list[int]) -> tuple[l
                     continue
                 _use(rows, holders, min(pivots, key=lambda i: (len(rows[i]), i)), v)
                 used[v] = None
-                found = True
+                progress = True
     return list(used), {i: row for i, row in rows.items() if row}
 
 

@@ -107,21 +107,21 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
         at[term.port, term.acts].append(term)
     # Equations keep their numbers, so those of a connection are replaced one by one.
     # What acts on written equations, which are known by their numbers, comes before a cut makes two of one.
-    varied = {name: own for (name, acts), own in at.items() if acts == "parameter"}
-    elsewhere = {place: own for place, own in at.items() if place[1] != "parameter"}
-    for (name, acts), own in sorted(elsewhere.items(), key=lambda one: not ports[one[0][0]].shares):
+    varied = {name: added_terms for (name, acts), added_terms in at.items() if acts == "parameter"}
+    elsewhere = {place: added_terms for place, added_terms in at.items() if place[1] != "parameter"}
+    for (name, acts), added_terms in sorted(elsewhere.items(), key=lambda one: not ports[one[0][0]].shares):
         port = ports[name]
         if acts == "flow" or port.kind == "loop":
-            flat = _with_flow(flat, port, own)
+            flat = _with_flow(flat, port, added_terms)
         elif acts == "potential":
-            flat = (_with_written_drop if port.shares else _with_drop)(flat, port, own)
+            flat = (_with_written_drop if port.shares else _with_drop)(flat, port, added_terms)
         elif acts == "cut":
-            flat = _with_cut(flat, port, own)
+            flat = _with_cut(flat, port, added_terms)
         else:
-            flat = _with_signal(flat, port, own)
+            flat = _with_signal(flat, port, added_terms)
     # Those in a single equation first, so that what replaces the parameter elsewhere acts in them as well.
-    for name, own in sorted(varied.items(), key=lambda one: ":" not in one[0]):
-        flat = _with_coefficient(flat, name, own)
+    for name, added_terms in sorted(varied.items(), key=lambda one: ":" not in one[0]):
+        flat = _with_coefficient(flat, name, added_terms)
     return flat
 
 
@@ -220,10 +220,10 @@ def _with_written_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> Fl
     new: dict[bool, Expression] = {False: variable(name), True: Call(ADDED, "der", (variable(name),))}
 
     def put_in(node: Expression) -> Expression:
-        found = next((d for d in port.differences if d.node == node), None)
-        if found is None:
+        difference = next((d for d in port.differences if d.node == node), None)
+        if difference is None:
             return node
-        return Unary(ADDED, "-", new[found.rates]) if found.negative else new[found.rates]
+        return Unary(ADDED, "-", new[difference.rates]) if difference.negative else new[difference.rates]
 
     sides = {i: [transform(side, put_in) for side in (e.left, e.right)] for i, e in enumerate(flat.equations)}
     changed = {i: (replace(flat.equations[i], left=left, right=right),) for i, (left, right) in sides.items()}
@@ -317,27 +317,29 @@ def _with_coefficient(flat: FlatModel, name: str, terms: Sequence[Term]) -> Flat
         what = f"'{name}' is not a parameter that acts in the model's equations"
         raise ModelicaError(what, where=terms[0].where, fix=suggestion(name, known))
     value: Expression = variable(parameter)
-    own = f"{name.replace(':', '.')}.{VALUE}"
-    while own in flat.variables:  # of an earlier diagnosis
-        own += "_"
+    varied_name = f"{name.replace(':', '.')}.{VALUE}"
+    while varied_name in flat.variables:  # of an earlier diagnosis
+        varied_name += "_"
     before = flat
     only = equations_with(flat, parameter)[determined] if determined else None
-    flat = _replaced(flat, {parameter: variable(own), **_followers(flat, parameter, variable(own))}, only)
-    flat = flat.with_variable(Variable(own, ADDED, unit=before.variables[parameter].unit))
+    flat = _replaced(
+        flat, {parameter: variable(varied_name), **_followers(flat, parameter, variable(varied_name))}, only
+    )
+    flat = flat.with_variable(Variable(varied_name, ADDED, unit=before.variables[parameter].unit))
     for term in terms:
         quantities = {"p": value}
         flat = _with_states(flat, [term], quantities)
         value = _expression(flat, term, quantities)
-    return flat.with_equation(variable(own), value)
+    return flat.with_equation(variable(varied_name), value)
 
 
 def _followers(flat: FlatModel, name: str, value: Expression) -> dict[str, Expression]:
     """Return the parameters that are computed from a parameter, as expressions of what takes its place."""
-    found: dict[str, Expression] = {}
+    bindings: dict[str, Expression] = {}
     for follower in followers(flat, name):
         binding = flat.variables[follower].binding
-        found[follower] = cast(Expression, transform(binding, _exchange({name: value, **found})))
-    return found
+        bindings[follower] = cast(Expression, transform(binding, _exchange({name: value, **bindings})))
+    return bindings
 
 
 def _exchange(new: Mapping[str, Expression]) -> Callable[[Expression], Expression]:

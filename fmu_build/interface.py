@@ -173,21 +173,21 @@ class _Describer:
         representative, sign = self.aliases.of[declared.name]
         symbol = algebra.sx(representative.symbol)
         expression = self.solution.expression(symbol)
-        found = self.place.get(key(expression))
-        if found is None and not expression.is_symbolic():
+        stored = self.place.get(key(expression))
+        if stored is None and not expression.is_symbolic():
             negative = -expression
-            found = self.place.get(key(negative)) if negative.is_symbolic() else None
-            sign = -sign if found is not None else sign
-        if found is None:
-            found = Location("v", len(self.evaluated))
+            stored = self.place.get(key(negative)) if negative.is_symbolic() else None
+            sign = -sign if stored is not None else sign
+        if stored is None:
+            stored = Location("v", len(self.evaluated))
             self.evaluated.append(expression)
-            self.place[key(expression)] = found
-        location = Location(found.vector, found.index, 1 if sign * found.sign > 0 else -1)
+            self.place[key(expression)] = stored
+        location = Location(stored.vector, stored.index, 1 if sign * stored.sign > 0 else -1)
         place: dict[str, Any] = {
             "location": location, "causality": causality, "variability": "continuous", "initial": "calculated",
         }  # fmt: skip
-        if found.vector == "x" and declared.name == self.states[found.index].symbol.name():
-            initial, value = self._state_start(found.index)
+        if stored.vector == "x" and declared.name == self.states[stored.index].symbol.name():
+            initial, value = self._state_start(stored.index)
             place |= {"initial": initial, "start": value}
         return place
 

@@ -38,11 +38,11 @@ def state_derivatives(system: System) -> list[SX]:
     for group in _groups([set(gradient) for _, gradient in rows]):
         if len(group) > MOST_SYMBOLIC:
             raise _unsupported(scope, invariants[group[0]])
-        own = [rows[i] for i in group]
-        products = [[sum((a[k] * b[k] for k in a if k in b), SX(0.0)) for _, b in own] for _, a in own]
-        weights = linear_solution(products, [value for value, _ in own])
-        for k in dict.fromkeys(k for _, gradient in own for k in gradient):
-            pull = sum((g[k] * sx(w) for (_, g), w in zip(own, weights, strict=True) if k in g), SX(0.0))
+        gradients = [rows[i] for i in group]
+        products = [[sum((a[k] * b[k] for k in a if k in b), SX(0.0)) for _, b in gradients] for _, a in gradients]
+        weights = linear_solution(products, [value for value, _ in gradients])
+        for k in dict.fromkeys(k for _, gradient in gradients for k in gradient):
+            pull = sum((g[k] * sx(w) for (_, g), w in zip(gradients, weights, strict=True) if k in g), SX(0.0))
             out[k] = out[k] - _ATTRACTION * pull
     return list(out.values())
 
@@ -58,8 +58,8 @@ def _unsupported(scope: ModelScope, invariant: Equation) -> Exception:
 def _groups(sets: list[set[int]]) -> list[list[int]]:
     """Numbers of the sets that overlap, directly or through others."""
     groups: list[tuple[list[int], set[int]]] = []
-    for number, own in enumerate(sets):
-        joined = [g for g in groups if g[1] & own]
-        groups = [g for g in groups if not g[1] & own]
-        groups.append(([*(i for g in joined for i in g[0]), number], own.union(*(g[1] for g in joined))))
+    for number, touched in enumerate(sets):
+        joined = [g for g in groups if g[1] & touched]
+        groups = [g for g in groups if not g[1] & touched]
+        groups.append(([*(i for g in joined for i in g[0]), number], touched.union(*(g[1] for g in joined))))
     return [sorted(members) for members, _ in groups]

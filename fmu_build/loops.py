@@ -78,13 +78,13 @@ def signs(
     if not switches or any(graph.symbols(entry) & inside for row in rows for entry in row):
         return set()
     values = list(islice(product((0.0, 1.0), repeat=len(switches)), _MOST))
-    found = set()
+    signs = set()
     for flat in point.pieces([entry for row in rows for entry in row], switches, values):
         matrix = flat.reshape(len(rows), len(rows))
         size = np.abs(matrix).max(axis=1, keepdims=True)
         sign, log = np.linalg.slogdet(matrix / np.where(size > 0.0, size, 1.0))
-        found.add(float(sign) if log > -30.0 else 0.0)
-    return found
+        signs.add(float(sign) if log > -30.0 else 0.0)
+    return signs
 
 
 class _Switches:

@@ -80,12 +80,12 @@ def _words(item: Scalar, declared: Declarations | None) -> str:
         return _TRUTH if isinstance(item, bool) else "%d" if isinstance(item, int) else ""
     if not item.is_symbolic() and int(item.op()) in _LOGICAL:
         return _TRUTH
-    found = declared.by_symbol.get(key(item)) if declared is not None else None
-    if found is None or found.type == "Real":
+    of_symbol = declared.by_symbol.get(key(item)) if declared is not None else None
+    if of_symbol is None or of_symbol.type == "Real":
         return ""
-    if found.type == "Boolean":
+    if of_symbol.type == "Boolean":
         return _TRUTH
-    return "=|" + "|".join(found.literals) if found.literals else "%d"
+    return "=|" + "|".join(of_symbol.literals) if of_symbol.literals else "%d"
 
 
 def _form(words: str, options: list[Value]) -> str:
@@ -94,10 +94,10 @@ def _form(words: str, options: list[Value]) -> str:
     if words.startswith("="):
         return words
     if isinstance(given, str):
-        found = _FORMAT.fullmatch(given)
-        if found is None:
+        match = _FORMAT.fullmatch(given)
+        if match is None:
             raise ValueError(f"the format '{given}' is not one of printf's for a number")
-        flags, width, precision, letter = found.groups()
+        flags, width, precision, letter = match.groups()
         return f"%{flags}{width}.0f" if letter in "di" else f"%{flags}{width}{precision or ''}{letter}"
     width = "" if least is None else f"{'' if left is False else '-'}{algebra.whole(least)}"
     return f"%{width}.0f" if words else f"%{width}.{6 if digits is None else algebra.whole(digits)}g"

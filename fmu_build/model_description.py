@@ -46,21 +46,21 @@ def model_description(model: CompiledModel, guid: str, sources: Sequence[str], f
 def states(model: CompiledModel) -> list[Variable]:
     """Return the variable that represents each continuous state, in the order of the state vector."""
     by_name = {v.name: v for v in model.variables}
-    found = [by_name[v.derivative_of] for v in derivatives(model) if v.derivative_of]
-    return sorted(found, key=lambda v: v.location.index)
+    states = [by_name[v.derivative_of] for v in derivatives(model) if v.derivative_of]
+    return sorted(states, key=lambda v: v.location.index)
 
 
 def derivatives(model: CompiledModel) -> list[Variable]:
     """Return the variable that represents each state derivative, in the order of the state vector."""
     index = {v.name: v.location.index for v in model.variables if v.location.vector == "x"}
-    found: dict[int, Variable] = {}
+    by_index: dict[int, Variable] = {}
     for v in model.variables:
         if v.derivative_of in index:
-            found.setdefault(index[v.derivative_of], v)
-    if sorted(found) != list(range(model.n_x)):
-        missing = sorted(set(range(model.n_x)) - set(found))
+            by_index.setdefault(index[v.derivative_of], v)
+    if sorted(by_index) != list(range(model.n_x)):
+        missing = sorted(set(range(model.n_x)) - set(by_index))
         raise BuildError(f"no variable is the derivative of state number {missing}", where=model.class_name)
-    return [found[i] for i in range(model.n_x)]
+    return [by_index[i] for i in range(model.n_x)]
 
 
 def initial_unknowns(model: CompiledModel) -> list[Variable]:

@@ -274,9 +274,14 @@ def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, .
             (folder / one).write_text("".join(f'#include "{file}"\n' for file in by_level[flags]))
             by_level[flags] = [one]
         # Relative names only, so that nothing of this machine enters the binary.
-        commands = [[*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", *own] for flags, own in by_level.items()]
+        commands = [
+            [*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", *files_of_level]
+            for flags, files_of_level in by_level.items()
+        ]
         _run_together(folder, model.class_name, *commands)
-        objects = [file.removesuffix(".c") + ".o" for own in by_level.values() for file in own]
+        objects = [
+            file.removesuffix(".c") + ".o" for files_of_level in by_level.values() for file in files_of_level
+        ]
         _run_together(
             folder, model.class_name, [*compiler, *C_FLAGS, "-shared", "-o", "model.so", *objects, "-lm"]
         )
@@ -289,7 +294,7 @@ def _level(file: str, header: str) -> tuple[str, ...]:
         f"MODEL_{m}_DENSE 0\n" in header and f"MODEL_{m}_N 0\n" not in header for m in "JR"
     ):
         return _FAST
-    return next((flags for flags, own in _LEVELS if file in own), _PLAIN)
+    return next((flags for flags, files in _LEVELS if file in files), _PLAIN)
 
 
 def _run_together(folder: Path, class_name: str, *commands: list[str]) -> None:

@@ -58,8 +58,8 @@ def _visit(node: SX, parts: list[list[Possible]]) -> list[Possible]:
     if op not in _ARITHMETIC or len(parts[0]) * len(parts[1]) > _MOST**2:
         return []
     pairs = [(a, b) for a in parts[0] for b in parts[1] if _agree(a.facts, b.facts)]
-    found = [Possible(_ARITHMETIC[op](a.value, b.value), {**a.facts, **b.facts}) for a, b in pairs]
-    return found if len(found) <= _MOST else []
+    results = [Possible(_ARITHMETIC[op](a.value, b.value), {**a.facts, **b.facts}) for a, b in pairs]
+    return results if len(results) <= _MOST else []
 
 
 def _plain(condition: SX) -> tuple[bool, int]:

@@ -108,12 +108,12 @@ class ModelScope:
 
     def derivative_symbol(self, symbol: SX) -> SX:
         """Symbol of the time derivative of a continuous variable (or of a derivative)."""
-        found = self._derivative.get(key(symbol))
-        if found is None:
-            found = SX.sym(f"der({symbol.name()})")
-            self._derivative[key(symbol)] = found
-            self.integral[key(found)] = symbol
-        return found
+        derivative = self._derivative.get(key(symbol))
+        if derivative is None:
+            derivative = SX.sym(f"der({symbol.name()})")
+            self._derivative[key(symbol)] = derivative
+            self.integral[key(derivative)] = symbol
+        return derivative
 
     def has_derivative(self, symbol: SX) -> bool:
         """Whether the derivative of a symbol has been used."""
@@ -155,13 +155,13 @@ class ModelScope:
 
     def previous_symbol(self, symbol: SX) -> SX:
         """Symbol of the pre-value of a discrete variable."""
-        found = self._previous.get(key(symbol))
-        if found is None:
-            found = SX.sym(f"pre({symbol.name()})")
-            self._previous[key(symbol)] = found
-            self._current[key(found)] = symbol
-            self._discrete.add(key(found))
-        return found
+        previous = self._previous.get(key(symbol))
+        if previous is None:
+            previous = SX.sym(f"pre({symbol.name()})")
+            self._previous[key(symbol)] = previous
+            self._current[key(previous)] = symbol
+            self._discrete.add(key(previous))
+        return previous
 
     def previous(self, value: Scalar) -> Scalar:
         """``pre(value)``."""
@@ -264,9 +264,9 @@ class ModelScope:
     def is_switched(self, expression: SX) -> bool:
         """Whether an expression changes at events because it contains relations or discrete variables."""
         relations = {key(r.symbol) for r in self.relations}
-        found = self.graph.symbols(expression)
-        declared = (self.declarations.by_symbol.get(k) for k in found)
-        return bool(relations & found) or any(d is not None and d.kind == "discrete" for d in declared)
+        symbols = self.graph.symbols(expression)
+        declared = (self.declarations.by_symbol.get(k) for k in symbols)
+        return bool(relations & symbols) or any(d is not None and d.kind == "discrete" for d in declared)
 
     def is_starting(self, symbols: Set[int]) -> bool:
         """Whether simplified equations are among those with these symbols."""
@@ -307,19 +307,19 @@ class ModelScope:
 
 def targets(statements: Iterable[Any]) -> set[str]:
     """Names of the variables that statements assign."""
-    found: set[str] = set()
+    names: set[str] = set()
     for node in walk(tuple(statements)):
         if isinstance(node, Assign):
-            found.add(node.target.name)
+            names.add(node.target.name)
         elif isinstance(node, AssignMany):
-            found |= {t.name for t in node.targets if t is not None}
-    return found
+            names |= {t.name for t in node.targets if t is not None}
+    return names
 
 
 def when_targets(statements: Iterable[Any]) -> set[str]:
     """Names of the variables that the when-clauses among some statements assign."""
-    found: set[str] = set()
+    names: set[str] = set()
     for when in walk(tuple(statements)):
         if isinstance(when, WhenStatement):
-            found |= targets(when.branches)
-    return found
+            names |= targets(when.branches)
+    return names

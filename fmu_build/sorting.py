@@ -107,7 +107,7 @@ def _relays(
         {row for k in scope.graph.symbols(e.residual) & watched.keys() for row in watched[k]}
         for e in reduced.equations
     ]
-    whole = [sorted({*found, *more}) for found, more in zip(successors, switched, strict=True)]
+    whole = [sorted({*plain, *more}) for plain, more in zip(successors, switched, strict=True)]
     circles = components(whole) if any(switched) else []
     return {row for circle in circles for row in circle if switched[row] & set(circle)}
 
@@ -175,14 +175,14 @@ def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, 
     """Cheapest (equation, unknown) whose coefficient is a number: with the fewest other terms (Markowitz)."""
     keys = {key(s): s for s in left}
     meets = dict.fromkeys(keys, 0)
-    found: list[list[int]] = []
+    rows: list[list[int]] = []
     for residual in residuals:
         inside = [k for k in keys if k in graph.symbols(residual)]
-        found.append(inside)
+        rows.append(inside)
         for k in inside:
             meets[k] += 1
     best: tuple[int, int, int] | None = None
-    for row, inside in enumerate(found):
+    for row, inside in enumerate(rows):
         gradient: Gradient | None = None
         for k in inside:
             cost = (len(inside) - 1) * (meets[k] - 1)

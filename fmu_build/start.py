@@ -58,11 +58,11 @@ def initial_conditions(system: System, equations: list[Equation], start_symbols:
     flat, rewrite, evaluate = scope.flat, system.rewrite, system.point.at_start
     starts = [start_of(scope, aliases, s.symbol) for s in states]
     conditions = [(rewrite(e.residual), e.at) for e in equations]
-    own = {key(s.symbol) for s in states}
+    state_keys = {key(s.symbol) for s in states}
     for k, group in aliases.groups.items():
         fixed = [(d, s) for d, s in group.members if d.fixed and d.kind == "continuous"]
         for position, (declared, sign) in enumerate(fixed):
-            if position == 0 and k in own:
+            if position == 0 and k in state_keys:
                 continue
             value = rewrite(sign * algebra.sx(group.representative.symbol)) - scope.start_of(declared)
             conditions.append((value, declared.at))
@@ -107,7 +107,7 @@ class _Written:
         system, scope = self._system, self._system.scope
         states = {key(s.symbol) for s in system.reduced.states}
         iterates = {key(y) for y in system.solution.iterates}
-        found = []
+        conditions = []
         for k, group in system.aliases.groups.items():
             start = start_of(scope, system.aliases, algebra.sx(group.representative.symbol))
             declared = start.source
@@ -117,8 +117,8 @@ class _Written:
             symbols = scope.graph.symbols(value)
             if not symbols & iterates and not any(map(scope.is_event_symbol, symbols)):
                 _, sign = system.aliases.of[declared.name]
-                found.append((declared, sign * (value - start.value)))
-        return found
+                conditions.append((declared, sign * (value - start.value)))
+        return conditions
 
     def chosen(
         self, conditions: list[tuple[SX, Place]], columns: list[int], free: set[int]
@@ -140,8 +140,8 @@ class _Written:
         rows = [c for c, _ in conditions]
         for _, other, n in ranked:
             rows.append(self._others[n][1] if other else states[open_[n]].symbol - starts[open_[n]].value)
-        _, found = _independent(self._system, rows, columns, self._at_start)
-        taken = [ranked[row - len(conditions)] for row in sorted(found) if row >= len(conditions)]
+        _, independent = _independent(self._system, rows, columns, self._at_start)
+        taken = [ranked[row - len(conditions)] for row in sorted(independent) if row >= len(conditions)]
         kept = {open_[n] for _, other, n in taken if not other}
         self._used = {n for _, other, n in taken if other}
         out = [*conditions, *((self._others[n][1], self._others[n][0].at) for n in sorted(self._used))]

@@ -80,8 +80,8 @@ def _solve(plan: Elimination) -> Iterator[str]:
     row_of = {place: row for row, place in enumerate(plan.places)}
     yield from (f"  double y{place} = b[{row_of[place]}];" for place in range(n))
     for k in range(n):
-        own = range(plan.diagonal[k] + 1, plan.start[k + 1])
-        yield from (f"  y{plan.rows[r]} -= lu[{r}]*y{k};" for r in own)
+        below = range(plan.diagonal[k] + 1, plan.start[k + 1])
+        yield from (f"  y{plan.rows[r]} -= lu[{r}]*y{k};" for r in below)
     for k in reversed(range(n)):
         yield f"  y{k} *= lu[{plan.diagonal[k]}];"
         yield from (f"  y{plan.rows[q]} -= lu[{q}]*y{k};" for q in range(plan.start[k], plan.diagonal[k]))

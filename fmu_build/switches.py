@@ -44,13 +44,15 @@ def switching_functions(derivatives: Any) -> Any:
     """
     arguments = derivatives.sx_in()
     moving = ca.vertcat(*(argument for i, argument in enumerate(arguments) if i not in _CONSTANT))
-    found: dict[int, Any] = {}
+    by_hash: dict[int, Any] = {}
     for node, gate in _gated([e for result in derivatives.call(arguments) for e in result.elements()], moving):
         if node.n_dep() and node.op() in (*_DIFFERENCE, *_ARGUMENT):
             switch = node.dep(0) - node.dep(1) if node.op() in _DIFFERENCE else node.dep(0)
             if not switch.is_constant() and ca.depends_on(switch, moving):
-                found.setdefault(switch.element_hash(), switch if gate is None else ca.if_else(gate, switch, 0.0))
-    chosen = list(found.values()) if len(found) <= _MOST else []
+                by_hash.setdefault(
+                    switch.element_hash(), switch if gate is None else ca.if_else(gate, switch, 0.0)
+                )
+    chosen = list(by_hash.values()) if len(by_hash) <= _MOST else []
     return ca.Function("model_switches", arguments, [ca.densify(ca.vertcat(*chosen)) if chosen else ca.SX(0, 1)])
 
 
@@ -62,12 +64,12 @@ def _gated(results: Sequence[Any], moving: Any) -> Iterator[tuple[Any, Any | Non
     """
     gates: dict[int, dict[int, Any] | None] = {result.element_hash(): None for result in results}
     for node in reversed(_in_order(results)):
-        own = gates[node.element_hash()]
-        yield node, None if own is None else reduce(ca.logic_or, own.values())
+        gate = gates[node.element_hash()]
+        yield node, None if gate is None else reduce(ca.logic_or, gate.values())
         for i in range(node.n_dep()):
-            through = own
+            through = gate
             if (
-                own is None
+                gate is None
                 and i == 1
                 and node.op() == ca.OP_IF_ELSE_ZERO
                 and not ca.depends_on(node.dep(0), moving)
@@ -80,18 +82,18 @@ def _gated(results: Sequence[Any], moving: Any) -> Iterator[tuple[Any, Any | Non
 
 def _in_order(results: Sequence[Any]) -> list[Any]:
     """Return the nodes that results depend on, each after its operands."""
-    found: list[Any] = []
+    ordered: list[Any] = []
     seen: set[int] = set()
     stack = [(result, False) for result in results]
     while stack:
         node, complete = stack.pop()
         if complete:
-            found.append(node)
+            ordered.append(node)
         elif node.element_hash() not in seen:
             seen.add(node.element_hash())
             stack.append((node, True))
             stack.extend((node.dep(i), False) for i in range(node.n_dep()))
-    return found
+    return ordered
 
 
 def switches_code(derivatives: Any | None) -> dict[str, str]:

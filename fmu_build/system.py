@@ -57,8 +57,8 @@ def solved(scope: ModelScope, equations: Equations) -> System:
     reduced = reduce(scope, aliases, point.generic)
 
     def start(symbol: SX) -> SX | None:
-        found = start_of(scope, aliases, symbol)
-        return found.value if found.given else None
+        given = start_of(scope, aliases, symbol)
+        return given.value if given.given else None
 
     solution = solve(scope, reduced, start, point, aliases.substitute)
     for loop in solution.loops:

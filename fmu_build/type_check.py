@@ -122,14 +122,14 @@ class _Checker:
 
     def variable(self, variable: Variable) -> None:
         """Check the values of a declaration."""
-        own = kind_of(variable)
+        kind = kind_of(variable)
         what = f"'{variable.name}'"
         if variable.binding is not None:
-            self.fits(self.kind(variable.binding), own, what, variable.at)
+            self.fits(self.kind(variable.binding), kind, what, variable.at)
         for name in ("start", "min", "max", "nominal"):
             value = getattr(variable, name)
             if value is not None:
-                self.fits(self.kind(value), own, f"{name} of {what}", variable.at)
+                self.fits(self.kind(value), kind, f"{name} of {what}", variable.at)
 
     def statements(self, statements: Iterable[Any]) -> None:
         """Check statements and those inside them."""

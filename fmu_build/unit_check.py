@@ -75,10 +75,10 @@ class _Checker:
 
     def run(self) -> Iterator[str]:
         for variable in self._flat.variables.values():
-            own = dimension_of_unit(variable.unit)
+            dimension = dimension_of_unit(variable.unit)
             for value in (variable.binding, variable.start, variable.min, variable.max, variable.nominal):
                 if value is not None and not isinstance(value, Literal):
-                    self._alike(own, self._unit(value), variable.at)
+                    self._alike(dimension, self._unit(value), variable.at)
             yield from self._report()
         for equation in (*self._flat.equations, *self._flat.initial_equations):
             self._alike(self._unit(equation.left), self._unit(equation.right), equation.at)
@@ -196,13 +196,13 @@ def _literals(node: Any) -> list[float]:
             parts = node.arguments
         case _:
             return []
-    found: list[float] = []
+    literals: list[float] = []
     for part in parts:
         values = _literals(part)
         if not values:
             return []
-        found += values
-    return found
+        literals += values
+    return literals
 
 
 def dimension_of_unit(text: str | None) -> Dimension | None:

@@ -65,13 +65,13 @@ def parse_unit(text: str) -> tuple[float, float, tuple[int, ...]] | None:
     terms += [(t, -1) for t in denominator.split(".")] if denominator else []
     for term, sign in terms:
         match = _FACTOR.match(term)
-        found = _symbol(match.group(1)) if match else None
-        if match is None or found is None:
+        symbol = _symbol(match.group(1)) if match else None
+        if match is None or symbol is None:
             return None
         power = sign * int(match.group(2) or 1)
-        factor *= found[0] ** power
-        offset = found[1] if len(terms) == 1 and power == 1 else 0.0
-        for base, exponent in found[2].items():
+        factor *= symbol[0] ** power
+        offset = symbol[1] if len(terms) == 1 and power == 1 else 0.0
+        for base, exponent in symbol[2].items():
             exponents[base] += power * exponent
     return factor, offset, tuple(exponents[base] for base in BASE_UNITS)
 

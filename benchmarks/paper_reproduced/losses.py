@@ -45,12 +45,12 @@ def sliding(campaign: Campaign, values: Mapping[str, float], speed: float) -> Sl
     simulator = load_simulator(campaign.models["eccentric_load"])
     known = {n: v for n, v in values.items() if n in simulator.variables} | {"mgr": _LOAD}
     time = 0.01 * np.arange(int(30.0 * 10.0 / speed) * 100 + 1)
-    found = []
+    parts = []
     for sign in (1.0, -1.0):
         reference = sign * speed * np.minimum(time / 0.5, 1.0)
         rows = simulator.simulate(Task(time, {"w_ref": reference}, _NAMES), known)
-        found.append(rows[:, time > 1.0])
-    w, tau, friction, *losses = np.hstack(found)
+        parts.append(rows[:, time > 1.0])
+    w, tau, friction, *losses = np.hstack(parts)
     return Sliding(w, tau, friction, np.array(losses))
 
 

@@ -44,8 +44,8 @@ def write_page(direct: Path, least_squares: Path) -> None:
     ours, other = Result.from_json(direct), Result.from_json(least_squares)
     campaign = load_campaign(ours.source)
     runs = [*FIG_7, *(run for run in campaign.validation if run.startswith("valid_") and "_r" not in run)]
-    found = validate(ours, campaign, experiments=runs)
-    write_pictures(ours, found, campaign, FIGURES)
+    validation = validate(ours, campaign, experiments=runs)
+    write_pictures(ours, validation, campaign, FIGURES)
     for figure in law_figures(campaign, _values(ours)):
         save_figure(figure, FIGURES)
     environment = jinja2.Environment(
@@ -58,7 +58,7 @@ def write_page(direct: Path, least_squares: Path) -> None:
     )
     text = environment.get_template("page.md.jinja").render(
         linear=_linear(ours),
-        peak=_peak(found),
+        peak=_peak(validation),
         friction=_at_ten(ours),
         first=_first(ours),
         searches=_searches(ours, other),
@@ -67,7 +67,7 @@ def write_page(direct: Path, least_squares: Path) -> None:
         output_bearing=output_bearing(_values(ours)),
         table=_table(ours),
         rows=_rows(ours),
-        worst=_worst(found),
+        worst=_worst(validation),
     )
     write_atomically(PAGE, text)
 
@@ -91,9 +91,9 @@ def _linear(ours: Result) -> list[tuple[str, str, str, str, str, str]]:
     ]
 
 
-def _peak(found: Validation) -> tuple[str, str]:
+def _peak(validation: Validation) -> tuple[str, str]:
     """Return the largest measured torque of the 0.5 A step, and that at its end, N.m."""
-    case = next(case for case in found.cases if case.id == "step_0p5")
+    case = next(case for case in validation.cases if case.id == "step_0p5")
     torque = next(channel.mean for channel in case.channels if channel.signal == SENSOR)
     return f"{np.max(torque):.1f}", f"{np.mean(torque[-40:]):.1f}"
 
@@ -153,10 +153,10 @@ def _with_error(stage: StageResult, name: str) -> str:
     return f"{e.value:.5f}" if e.standard_error is None else f"{e.value:.5f} ± {e.standard_error:.5f}"
 
 
-def _worst(found: Validation) -> dict[str, tuple[str, str]]:
+def _worst(validation: Validation) -> dict[str, tuple[str, str]]:
     """Return, of Figs. 7 and 14, the least and largest error of the sensor torque, in multiples of its noise."""
     shares: dict[bool, list[float]] = {True: [], False: []}
-    for score in found.scores:
+    for score in validation.scores:
         if score.signal == SENSOR and score.noise_floor:
             shares[score.experiment in FIG_7].append(score.rmse / score.noise_floor)
     return {

@@ -31,8 +31,8 @@ SENSOR = "tau_sensor"
 FIG_7 = ("step_0p5", "step_1p0", "sine_0p5_5", "sine_0p75_10", "prbs_0p5", "prbs_0p8")
 
 
-def write_pictures(direct: Result, found: Validation, campaign: Campaign, out: Path) -> None:
-    """Draw the figures into a folder; `found` are predictions of the runs of Figs. 7 and 14."""
+def write_pictures(direct: Result, validation: Validation, campaign: Campaign, out: Path) -> None:
+    """Draw the figures into a folder; `validation` are predictions of the runs of Figs. 7 and 14."""
     simulators = {name: load_simulator(model) for name, model in campaign.models.items()}
     recorded = read_history(str(direct.folder))
     stages = {stage.name: stage for stage in direct.stages}
@@ -41,16 +41,16 @@ def write_pictures(direct: Result, found: Validation, campaign: Campaign, out: P
     )
     start = {name: p.start for name, p in campaign.parameters.items()}
     friction = bearing_friction(campaign, simulators, start, stages["bearing"].parameters)
-    loads = [case.id for case in found.cases if case.id not in FIG_7]
+    loads = [case.id for case in validation.cases if case.id not in FIG_7]
     searched = search_history(stages["first_10"], recorded["first_10"])
     truths = dict(zip(searched.names, FIRST_ROW[1:], strict=False))
     drawn: list[Figure] = [
         _history(
             "paper-fig6", [_marked(_panel(o), (PEAK, SETTLED)) for o in linear if o.experiment == "step_0p5"]
         ),
-        _validated("paper-fig7", found, campaign, FIG_7),
+        _validated("paper-fig7", validation, campaign, FIG_7),
         _history("paper-fig13", [f(o) for f in (_panel, _errors) for o in first if o.experiment == "first_10"]),
-        _validated("paper-fig14", found, campaign, loads),
+        _validated("paper-fig14", validation, campaign, loads),
         replace(figures.parallel_figure(searched, campaign.parameters, truths), name="paper-parameters"),
         replace(figures.parallel_criteria_figure(searched), name="paper-criteria"),
     ]
@@ -89,10 +89,10 @@ def _marked(panel: Panel, levels: Sequence[float]) -> Panel:
     return replace(panel, series=panel.series + lines)
 
 
-def _validated(name: str, found: Validation, campaign: Campaign, runs: Sequence[str]) -> LineFigure:
+def _validated(name: str, validation: Validation, campaign: Campaign, runs: Sequence[str]) -> LineFigure:
     """Return measured and simulated sensor torque of runs."""
     panels = {}
-    for case, predicted in zip(found.cases, found.predictions, strict=True):
+    for case, predicted in zip(validation.cases, validation.predictions, strict=True):
         k = next(k for k, channel in enumerate(case.channels) if channel.signal == SENSOR)
         measured, unit = case.channels[k].mean, case.channels[k].unit or ""
         lines = () if predicted is None else (("simulation", "final", predicted[k]),)

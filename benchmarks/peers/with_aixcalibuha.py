@@ -17,9 +17,9 @@ simulate = FMU_API.simulate
 
 
 def counted(self: FMU_API, *arguments: object, **options: object) -> object:
-    found = simulate(self, *arguments, **options)
-    race.take(found[job["output"]].to_numpy().ravel()[: len(race.time)])
-    return found
+    simulated = simulate(self, *arguments, **options)
+    race.take(simulated[job["output"]].to_numpy().ravel()[: len(race.time)])
+    return simulated
 
 
 def tool() -> None:

@@ -19,9 +19,9 @@ simulate = Model.simulate
 
 
 def counted(self: Model, *arguments: object, **options: object) -> object:
-    found = simulate(self, *arguments, **options)
-    race.take(found[job["output"]].to_numpy()[: len(race.time)])
-    return found
+    simulated = simulate(self, *arguments, **options)
+    race.take(simulated[job["output"]].to_numpy()[: len(race.time)])
+    return simulated
 
 
 def tool() -> None:

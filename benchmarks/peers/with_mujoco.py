@@ -57,10 +57,10 @@ def main() -> None:
     for name, (value, lower, upper, modifier) in PARAMETERS.items():
         parameters.add(sysid.Parameter(name, nominal=value, min_value=lower, max_value=upper, modifier=modifier))
     residual = sysid.build_residual_fn(models_sequences=sequences)
-    found, result = sysid.optimize(initial_params=parameters, residual_fn=residual, verbose=False)
-    residuals, _, _ = residual(result.x, found)
+    optimum, result = sysid.optimize(initial_params=parameters, residual_fn=residual, verbose=False)
+    residuals, _, _ = residual(result.x, optimum)
     _, widths = sysid.calculate_intervals(residuals, result.jac)
-    values = {name: [float(found[name].value[0]), float(w)] for name, w in zip(PARAMETERS, widths, strict=True)}
+    values = {name: [float(optimum[name].value[0]), float(w)] for name, w in zip(PARAMETERS, widths, strict=True)}
     print(json.dumps({"seconds": time.perf_counter() - begun, "values": values}))
 
 

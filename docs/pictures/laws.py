@@ -18,10 +18,10 @@ Lines = list[tuple[Floats, Floats, str]]
 
 def bristle(travel: Floats, distance: float) -> Floats:
     """Return the deflection of a Dahl bristle along a path, as a share of the largest."""
-    found = np.zeros_like(travel)
+    deflection = np.zeros_like(travel)
     for k, step in enumerate(np.diff(travel)):
-        found[k + 1] = found[k] + (step - abs(step) * found[k]) / distance
-    return found
+        deflection[k + 1] = deflection[k] + (step - abs(step) * deflection[k]) / distance
+    return deflection
 
 
 def panels() -> list[tuple[str, str, str, Lines]]:

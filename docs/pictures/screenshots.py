@@ -113,7 +113,7 @@ class Browser:
 @contextmanager
 def browser() -> Iterator[Browser]:
     """Start Chromium, and end it with its profile."""
-    program = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
+    program = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
     if program is None:
         raise SystemExit(f"no browser found: one of {', '.join(_BROWSERS)} takes the pictures")
     ours, its = os.pipe(), os.pipe()  # Chromium reads commands from 3 and answers on 4

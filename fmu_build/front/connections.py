@@ -77,12 +77,12 @@ class Connections:
 
     def leaves(self, e: Reference, scope: Instance, env: Env) -> list[Leaf] | None:
         """Connectors that a reference denotes; None if one is a conditional component that does not exist."""
-        found = self._resolver.world.find(scope, e.parts[0].name, e.rooted)
-        if not isinstance(found, Slot) or not isinstance(found.element, ComponentDef):
+        slot = self._resolver.world.find(scope, e.parts[0].name, e.rooted)
+        if not isinstance(slot, Slot) or not isinstance(slot.element, ComponentDef):
             raise ModelicaError(f"there is no connector '{e.name}'", where=e.at,
                                 fix=World.suggest(e.parts[0].name, scope.root.slots))  # fmt: skip
-        root = found.scope.root
-        item = self._resolver.item(root, found.name)
+        root = slot.scope.root
+        item = self._resolver.item(root, slot.name)
         path = _Path(self._resolver, e, scope, env, _is_connector(item) and root is scope.root)
         return path.found if path.walk(item, 0) else None
 
@@ -221,10 +221,10 @@ class Connections:
             graph.potential[nodes[0]] = int(priority)
 
     def _node(self, e: Any, written: Written) -> str:
-        found = self._resolver.expr(e, written.scope, written.env)
-        if not isinstance(found, Reference) or found.subscripts:
+        resolved = self._resolver.expr(e, written.scope, written.env)
+        if not isinstance(resolved, Reference) or resolved.subscripts:
             raise ModelicaError("an overconstrained record or variable is expected here", where=written.connect.at)
-        return found.name
+        return resolved.name
 
     def _records(self, a: Item, b: Item) -> Iterator[tuple[str, str]]:
         """Yield the pairs of overconstrained records or variables inside two connected connectors."""
@@ -450,10 +450,10 @@ class _Path:
             if isinstance(subscript, All):
                 choices.append(range(1, n + 1))
                 continue
-            found = self._resolver._subscript(self._resolver.expr(subscript, self._scope, self._env), n)
-            if found is None:
+            index = self._resolver._subscript(self._resolver.expr(subscript, self._scope, self._env), n)
+            if index is None:
                 raise ModelicaError("a subscript in a connection must be known at translation", where=e.at)
-            chosen = found if isinstance(found, list) else [found]
+            chosen = index if isinstance(index, list) else [index]
             for i in chosen:
                 if not 1 <= i <= n:
                     raise ModelicaError(f"subscript {i} of '{part.name}' is outside 1..{n}", where=e.at)
@@ -473,18 +473,18 @@ def connector(item: Instance | Var, resolver: Resolver) -> Connector:
     flows_: list[str] = []
     potentials: list[str] = []
 
-    def visit(found: Item) -> None:
-        if isinstance(found, Var):
-            target = flows_ if found.flow else potentials
-            if found.variability not in ("constant", "parameter"):
-                target.extend(_name((found.name, i)) for i in product(*(range(1, n + 1) for n in found.dims)))
-        elif isinstance(found, Many):
-            for inner in found.items:
+    def visit(part: Item) -> None:
+        if isinstance(part, Var):
+            target = flows_ if part.flow else potentials
+            if part.variability not in ("constant", "parameter"):
+                target.extend(_name((part.name, i)) for i in product(*(range(1, n + 1) for n in part.dims)))
+        elif isinstance(part, Many):
+            for inner in part.items:
                 visit(inner)
-        elif isinstance(found, Instance):
-            for name, slot in list(found.slots.items()):
+        elif isinstance(part, Instance):
+            for name, slot in list(part.slots.items()):
                 if isinstance(slot.element, ComponentDef):
-                    visit(resolver.item(found, name))
+                    visit(resolver.item(part, name))
 
     visit(item)
     owner = item.owner.path if item.owner is not None else ""

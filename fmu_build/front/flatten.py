@@ -192,11 +192,13 @@ class _Flattener:
         element = slot.effective().element
         if not isinstance(element, ComponentDef) or not element.outer or element.inner:
             return False
-        found = self.resolver.item(slot.scope.root, slot.name)
+        item = self.resolver.item(slot.scope.root, slot.name)
         path = slot.scope.root.path
-        own = f"{path}.{slot.name}" if path else slot.name
-        name = found.name if isinstance(found, Var | Many) else found.path if isinstance(found, Instance) else own
-        return name != own
+        plain_name = f"{path}.{slot.name}" if path else slot.name
+        name = (
+            item.name if isinstance(item, Var | Many) else item.path if isinstance(item, Instance) else plain_name
+        )
+        return name != plain_name
 
     def _component(self, instance: Instance) -> Component:
         bases = dict.fromkeys(b.class_name for b in instance.all_bases() if b is not instance)
@@ -236,9 +238,9 @@ class _Flattener:
             attributes[name] = resolver.attribute(var, name)
         attributes["start_level"] = _level(var.attributes.subs.get("start"))
         for name, key in (("unit", "unit"), ("displayUnit", "display_unit"), ("quantity", "quantity")):
-            found = resolver.attribute(var, name)
-            if found is not None:
-                text = resolver.known(found, found.at)
+            stated = resolver.attribute(var, name)
+            if stated is not None:
+                text = resolver.known(stated, stated.at)
                 if isinstance(text, Array):
                     text = str(text.items[0]) if text.items else ""
                 attributes[key] = str(text) or None
@@ -452,10 +454,10 @@ class _Flattener:
                 return [_assignment(expr(item.left, scope, env), expr(item.right, scope, env), item.at)]
             case ForStatement():
                 return [
-                    found
+                    flat
                     for inner in self._unrolled(item, scope, env)
                     for part in item.body
-                    for found in self._when_part(part, scope, inner)
+                    for flat in self._when_part(part, scope, inner)
                 ]
             case IfStatement():
                 return self._when_if(item, scope, env)

@@ -132,13 +132,13 @@ def merge(outer: Mod, inner: Mod, name: str) -> Mod:
         subs = {n: replace(m, weak=True) for n, m in subs.items()}
     for sub, mod in outer.subs.items():
         subs[sub] = merge(mod, subs[sub], sub) if sub in subs else mod
-    own = outer if outer.value is not None else inner
+    winner = outer if outer.value is not None else inner
     return Mod(
         outer.at if outer.value is not None or inner.value is None else inner.at,
-        own.scope,
-        own.value,
+        winner.scope,
+        winner.value,
         subs,
-        own.each,
+        winner.each,
         outer.final or inner.final,
         inner.redeclare,
         inner.below,
@@ -193,9 +193,9 @@ def _resolve(slot: Slot) -> Slot:
         carried = merge(mod.below, carried, name)
     if isinstance(new, ComponentDef):
         assert isinstance(old, ComponentDef)
-        own = _own_mod(new, scope)
+        redeclared = _own_mod(new, scope)
         declared = _redeclared(old, slot.scope, new, scope)
-        return Slot(name, declared, scope, merge(outer, merge(own, carried, name), name))
+        return Slot(name, declared, scope, merge(outer, merge(redeclared, carried, name), name))
     return Slot(name, new, scope, _with_carried(outer, new, scope, carried, name))
 
 
@@ -249,9 +249,11 @@ def _prefixes(new: ComponentDef, old: ComponentDef) -> frozenset[str]:
 
 
 def _own_mod(element: ComponentDef | ClassDef, scope: Instance) -> Mod:
-    own = _own_modification(element)
+    modification = _own_modification(element)
     return (
-        NO_MOD if own is None else modifier(own, scope, final=isinstance(element, ComponentDef) and element.final)
+        NO_MOD
+        if modification is None
+        else modifier(modification, scope, final=isinstance(element, ComponentDef) and element.final)
     )
 
 
@@ -259,8 +261,8 @@ def _with_carried(outer: Mod, new: ClassDef, scope: Instance, carried: Mod, name
     """Modification of a redeclared class, in which the new class's modifiers override the inherited ones."""
     if carried is NO_MOD or not carried.subs:
         return outer
-    own = _own_mod(new, scope)
-    subs = {n: m for n, m in carried.subs.items() if n not in own.subs}
+    redeclared = _own_mod(new, scope)
+    subs = {n: m for n, m in carried.subs.items() if n not in redeclared.subs}
     return merge(outer, replace(carried, subs=subs), name)
 
 
@@ -429,10 +431,10 @@ class Instance:
             if isinstance(member, ClassDef):
                 return self._add(member)
         for base in self.bases:
-            found = base.slot(name)
-            if found is not None:
+            inherited = base.slot(name)
+            if inherited is not None:
                 self.visible.add(name)
-                return found
+                return inherited
         return None
 
     def all_bases(self) -> Iterator[Instance]:
@@ -482,8 +484,8 @@ class World:
 
     def find(self, scope: Instance | None, name: str, rooted: bool = False) -> Slot | ClassRef | None:
         """Find a simple name from a scope outwards (specification 5.3.1); None if missing or a literal."""
-        found = self.find_value(scope, name, rooted)
-        return None if isinstance(found, Literal) else found
+        value = self.find_value(scope, name, rooted)
+        return None if isinstance(value, Literal) else value
 
     def find_value(
         self, scope: Instance | None, name: str, rooted: bool = False
@@ -513,14 +515,14 @@ class World:
             self._imports[memo] = None  # an import does not look itself up
             for clause in definition.imports:
                 if clause.alias == name:
-                    found: Slot | ClassRef | Literal | None = self._qualified(clause.name)
-                    if found is None:
-                        found = self._literal(clause.name)
-                    if found is None:
+                    imported: Slot | ClassRef | Literal | None = self._qualified(clause.name)
+                    if imported is None:
+                        imported = self._literal(clause.name)
+                    if imported is None:
                         raise ModelicaError(
                             f"there is no '{clause.name}' to import", where=clause.at, fix=self.absent(clause.name)
                         )
-                    self._imports[memo] = found
+                    self._imports[memo] = imported
                     break
                 if clause.alias == "*":
                     package = self._qualified(clause.name)
@@ -528,9 +530,9 @@ class World:
                         raise ModelicaError(
                             f"there is no '{clause.name}' to import", where=clause.at, fix=self.absent(clause.name)
                         )
-                    found = self.package(package, clause.at).slot(name)
-                    if found is not None:
-                        self._imports[memo] = found
+                    imported = self.package(package, clause.at).slot(name)
+                    if imported is not None:
+                        self._imports[memo] = imported
                         break
         return self._imports[memo]
 
@@ -554,26 +556,26 @@ class World:
     def _qualified(self, name: str) -> Slot | ClassRef | None:
         first, *rest = name.split(".")
         top = self.library.top(first)
-        found: Slot | ClassRef | None = None
+        target: Slot | ClassRef | None = None
         if top is not None:
-            found = ClassRef(top, None)
+            target = ClassRef(top, None)
         elif first in _BUILTIN:
-            found = ClassRef(_BUILTIN[first], None)
+            target = ClassRef(_BUILTIN[first], None)
         for part in rest:
-            if found is None:
+            if target is None:
                 return None
-            if isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+            if isinstance(target, Slot) and isinstance(target.element, ComponentDef):
                 return None
-            found = self.package(found, _NOWHERE).slot(part)
-        return found
+            target = self.package(target, _NOWHERE).slot(part)
+        return target
 
     def _literal(self, name: str) -> Literal | None:
         """Literal of an enumeration by its full name."""
         enumeration, _, literal = name.rpartition(".")
-        found = self._qualified(enumeration) if enumeration else None
-        if found is None or (isinstance(found, Slot) and isinstance(found.element, ComponentDef)):
+        enumerated = self._qualified(enumeration) if enumeration else None
+        if enumerated is None or (isinstance(enumerated, Slot) and isinstance(enumerated.element, ComponentDef)):
             return None
-        declared = self.package(found, _NOWHERE).enumeration
+        declared = self.package(enumerated, _NOWHERE).enumeration
         names = [n for n, _ in (declared.enumeration if declared is not None else None) or ()]
         if literal not in names:
             return None
@@ -587,77 +589,77 @@ class World:
         ModelicaError
             If there is none.
         """
-        found = self.lookup_class(scope, name, extends)
-        if found is None and name.name == "Clock":
+        target = self.lookup_class(scope, name, extends)
+        if target is None and name.name == "Clock":
             raise ModelicaError("clocks are not supported", where=name.at, fix="use sample() in a when-equation")
-        if found is None:
+        if target is None:
             where = scope.definition.path if scope is not None else ""
             raise ModelicaError(
                 f"there is no class '{name.name}'" + (f" (in {where})" if where else ""),
                 where=name.at,
                 fix=self.absent(name.name) if len(name.parts) > 1 else None,
             )
-        return found
+        return target
 
     def lookup_class(
         self, scope: Instance | None, name: Reference, extends: ClassDef | None = None
     ) -> ClassRef | None:
         """Find a class by its name as written; None if it does not exist."""
         first = name.parts[0].name
-        found: Slot | ClassRef | None = None
+        target: Slot | ClassRef | None = None
         if extends is not None and scope is not None:
             # the base class is found without looking at inherited elements
             member = extends.member(first)
             if isinstance(member, ClassDef) and not member.redeclare and member.extended is None:
                 slot = scope.slots.get(first)
-                found = slot if slot is not None and slot.element is member else scope._add(member)
+                target = slot if slot is not None and slot.element is member else scope._add(member)
             else:
                 imported = self._imported(scope, first)
                 if imported is not None and not isinstance(imported, Literal):
-                    found = imported
+                    target = imported
                 elif not extends.encapsulated:
-                    found = self.find(scope.parent, first)
-                if found is None and first in scope.visible:
-                    found = scope.slots[first]
-                if found is None:
-                    found = self.find(None, first)
+                    target = self.find(scope.parent, first)
+                if target is None and first in scope.visible:
+                    target = scope.slots[first]
+                if target is None:
+                    target = self.find(None, first)
         else:
-            found = self.find(scope, first, name.rooted)
+            target = self.find(scope, first, name.rooted)
         for part in name.parts[1:]:
-            if found is None:
+            if target is None:
                 return None
-            found = self.member(found, part.name, name.at)
-        return None if found is None else self.class_ref(found)
+            target = self.member(target, part.name, name.at)
+        return None if target is None else self.class_ref(target)
 
-    def member(self, found: Slot | ClassRef, name: str, at: Place) -> Slot | None:
+    def member(self, target: Slot | ClassRef, name: str, at: Place) -> Slot | None:
         """Find a member of a package (or of the class of a component)."""
-        if isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+        if isinstance(target, Slot) and isinstance(target.element, ComponentDef):
             return None
-        return self.package(found, at).slot(name)
+        return self.package(target, at).slot(name)
 
-    def class_ref(self, found: Slot | ClassRef) -> ClassRef | None:
+    def class_ref(self, target: Slot | ClassRef) -> ClassRef | None:
         """Return the class that a lookup found; None if it found a component."""
-        if isinstance(found, ClassRef):
-            return found
-        slot = found.effective()
+        if isinstance(target, ClassRef):
+            return target
+        slot = target.effective()
         if isinstance(slot.element, ComponentDef):
             return None
         definition = slot.element
         if definition.extended is not None:
-            return self._extended(found, slot)
-        return ClassRef(definition, slot.scope, slot.mod, found)
+            return self._extended(target, slot)
+        return ClassRef(definition, slot.scope, slot.mod, target)
 
-    def _extended(self, found: Slot, slot: Slot) -> ClassRef:
+    def _extended(self, inherited: Slot, slot: Slot) -> ClassRef:
         """Class of ``redeclare model extends X``: X as inherited, with additional elements."""
-        old = found.element
+        old = inherited.element
         definition = slot.element
         assert isinstance(definition, ClassDef)
         assert isinstance(old, ClassDef)
-        below = found.mod.below or NO_MOD
-        base = Slot(found.name, old, found.scope, below)
+        below = inherited.mod.below or NO_MOD
+        base = Slot(inherited.name, old, inherited.scope, below)
         if definition.extended is None:
             raise AssertionError
-        hidden = f"{found.name} (inherited)"
+        hidden = f"{inherited.name} (inherited)"
         holder = Instance(
             self,
             ClassDef(definition.at, definition.name, "package", path=slot.scope.definition.path),
@@ -676,19 +678,19 @@ class World:
             Extends(definition.at, Reference(definition.at, (Part(hidden),)), definition.extended),
             *definition.elements,
         ]
-        return ClassRef(copy, holder, slot.mod, found)
+        return ClassRef(copy, holder, slot.mod, inherited)
 
-    def package(self, found: Slot | ClassRef, at: Place) -> Instance:
+    def package(self, target: Slot | ClassRef, at: Place) -> Instance:
         """Instance of a class in which names are looked up."""
-        if isinstance(found, Slot) and found.package is not None:
-            return found.package
-        ref = self.class_ref(found)
+        if isinstance(target, Slot) and target.package is not None:
+            return target.package
+        ref = self.class_ref(target)
         if ref is None:
-            raise ModelicaError(f"'{found.name if isinstance(found, Slot) else ''}' is not a package", where=at)
+            raise ModelicaError(f"'{target.name if isinstance(target, Slot) else ''}' is not a package", where=at)
         ref = self.plain(ref)
         out = self._instance(ref)
-        if isinstance(found, Slot):
-            found.package = out
+        if isinstance(target, Slot):
+            target.package = out
         return out
 
     def plain(self, ref: ClassRef) -> ClassRef:

@@ -40,8 +40,8 @@ class Library:
         package = _package_folder(self.file)
         if package is None:
             within, classes = self._read(self.file)
-            for found in classes:
-                self._add(within, found)
+            for definition in classes:
+                self._add(within, definition)
         else:
             self.roots.insert(0, package.parent)
             self._tops[package.name] = self._folder(package)
@@ -54,10 +54,10 @@ class Library:
 
     def names(self) -> list[str]:
         """Qualified names of the classes in the user's own file and package."""
-        found: list[str] = []
+        names: list[str] = []
 
         def visit(definition: ClassDef) -> None:
-            found.append(definition.path)
+            names.append(definition.path)
             for element in definition.elements:
                 if isinstance(element, ClassDef):
                     visit(element)
@@ -65,7 +65,7 @@ class Library:
         for top in self._tops.values():
             if top is not None:
                 visit(top)
-        return found
+        return names
 
     def _find(self, name: str) -> ClassDef | None:
         for root in (*self.roots, *self._standard):
@@ -87,9 +87,9 @@ class Library:
 
     def _versions(self, root: Path, name: str) -> list[Path]:
         """Folders of a library in a directory: the version that the model uses, then the newest first."""
-        found = [root / name, *sorted(root.glob(f"{name} *"), reverse=True)]
+        folders = [root / name, *sorted(root.glob(f"{name} *"), reverse=True)]
         wanted = f"{name} {self._used_version(name) or ''}"
-        return sorted(found, key=lambda folder: not folder.name.startswith(wanted))
+        return sorted(folders, key=lambda folder: not folder.name.startswith(wanted))
 
     def _used_version(self, name: str) -> str | None:
         """Version of a library that the model's ``uses`` annotation names."""
@@ -101,15 +101,15 @@ class Library:
 
     def versions(self) -> dict[str, str]:
         """Versions of the libraries that the model uses, by name."""
-        found: dict[str, str] = {}
+        versions: dict[str, str] = {}
         for name, top in sorted(self._tops.items()):
             used = top is not None and top.loader is not None and name not in self.stand_ins
             if top is None or not used or self.file.is_relative_to(Path(top.folder)):
                 continue
             version = _string(next((a for a in annotation(top.annotation) if a.name == "version"), None))
             if version is not None:
-                found[name] = version
-        return found
+                versions[name] = version
+        return versions
 
     def _scan(self) -> None:
         """Search, once, files whose names may differ from those of their classes."""
@@ -119,25 +119,25 @@ class Library:
         loose = (root for root in self.roots if not (root / "package.mo").is_file())
         for path in (path for root in loose for path in sorted(root.glob("*.mo"))):
             within, classes = self._read(path)
-            for found in classes:
-                if not within and found.name not in self._tops:
-                    self._add("", found)
+            for definition in classes:
+                if not within and definition.name not in self._tops:
+                    self._add("", definition)
 
     def _single(self, path: Path, name: str) -> ClassDef | None:
         _, classes = self._read(path)
-        for found in classes:
-            found.settle(None, "")
+        for definition in classes:
+            definition.settle(None, "")
         return next((c for c in classes if c.name == name), None)
 
-    def _add(self, within: str, found: ClassDef) -> None:
+    def _add(self, within: str, definition: ClassDef) -> None:
         if not within:
-            found.settle(None, "")
-            self._tops[found.name] = found
+            definition.settle(None, "")
+            self._tops[definition.name] = definition
             return
         outside: ClassDef | None = None
         for part in within.split("."):
             inner = (self._tops.get(part) if outside is None else outside.member(part)) or ClassDef(
-                found.at, part, "package"
+                definition.at, part, "package"
             )
             assert isinstance(inner, ClassDef)
             if outside is None:
@@ -147,8 +147,8 @@ class Library:
             inner.settle(outside, "" if outside is None else outside.path)
             outside = inner
         assert outside is not None
-        outside.elements.append(found)
-        found.settle(outside, outside.path)
+        outside.elements.append(definition)
+        definition.settle(outside, outside.path)
 
     def _read(self, path: Path) -> tuple[str, list[ClassDef]]:
         self.used[path] = None
@@ -172,18 +172,18 @@ class Library:
             if name in missing:
                 return None
             if (folder / name / "package.mo").is_file():
-                found = self._folder(folder / name)
+                definition = self._folder(folder / name)
             elif (folder / f"{name}.mo").is_file() and name != "package":
                 classes = self._read(folder / f"{name}.mo")[1]
                 if [c.name for c in classes] != [name]:
                     raise ModelicaError(f"the file does not have the class '{name}' alone", where=f"{name}.mo")
-                (found,) = classes
+                (definition,) = classes
             else:
                 missing.add(name)
                 return None
-            outside.elements.append(found)
-            found.settle(outside, outside.path)
-            return found
+            outside.elements.append(definition)
+            definition.settle(outside, outside.path)
+            return definition
 
         package.loader = load
         package.folder = str(folder)

@@ -182,22 +182,22 @@ class Resolver:
             raise ModelicaError(f"'{name}' depends on itself", where=slot.element.at)
         self._open.add(memo)
         try:
-            found = self._item(root, name, slot)
+            item = self._item(root, name, slot)
         finally:
             self._open.discard(memo)
-        root.items[name] = found
-        return found
+        root.items[name] = item
+        return item
 
     def _item(self, root: Instance, name: str, slot: Slot) -> Item:
         component = slot.element
         assert isinstance(component, ComponentDef)
         if component.outer and not component.inner:
-            found = self._inner(root, name, component)
-            if found is not None:
+            outer = self._inner(root, name, component)
+            if outer is not None:
                 if slot.mod.value is not None or slot.mod.subs:
                     raise ModelicaError(f"'{name}' is outer and cannot be modified", where=component.at,
                                         fix="modify the inner one")  # fmt: skip
-                return found
+                return outer
         if component.condition is not None:
             condition = self.expr(component.condition, slot.scope, {})
             if not self.truth(condition, component.condition.at):
@@ -232,9 +232,9 @@ class Resolver:
             raise ModelicaError(f"'{path}' has {math.prod(dims)} elements", where=component.at)
         items = []
         for index in product(*(range(1, n + 1) for n in dims)):
-            own = f"{path}[{','.join(map(str, index))}]"
-            one = self.world.instantiate(ref, slot.mod.indexed(index), own, root)
-            self._settle(root, one, slot, own)
+            element_path = f"{path}[{','.join(map(str, index))}]"
+            one = self.world.instantiate(ref, slot.mod.indexed(index), element_path, root)
+            self._settle(root, one, slot, element_path)
             items.append(one)
         return Many(path, dims, items)
 
@@ -253,12 +253,14 @@ class Resolver:
                 raise ModelicaError(f"'{path}' is not a variable and cannot have a value", where=value.at)
             for name, sub in instance.slots.items():
                 if isinstance(sub.element, ComponentDef) and not sub.element.final:
-                    own = field_mod(value, name)
+                    of_field = field_mod(value, name)
                     if sub.mod.weak:
-                        sub.mod = replace(sub.mod, value=own.value, scope=own.scope, final=own.final)
+                        sub.mod = replace(
+                            sub.mod, value=of_field.value, scope=of_field.scope, final=of_field.final
+                        )
                     else:
-                        merged = merge(sub.mod, replace(own, final=False), name)
-                        sub.mod = replace(merged, final=sub.mod.final or own.final)
+                        merged = merge(sub.mod, replace(of_field, final=False), name)
+                        sub.mod = replace(merged, final=sub.mod.final or of_field.final)
                     sub.resolved = None
 
     def _inner(self, root: Instance, name: str, component: ComponentDef) -> Item | None:
@@ -281,7 +283,7 @@ class Resolver:
         component = slot.element
         assert isinstance(component, ComponentDef)
         attributes = instance.attributes
-        own = [(s, slot.scope) for s in component.subscripts] + instance.subscripts
+        subscripts = [(s, slot.scope) for s in component.subscripts] + instance.subscripts
         prefixes = root.prefixes | component.prefixes | instance.short_prefixes
         known = [p for p in ("constant", "parameter", "discrete") if p in prefixes]
         direction = next(
@@ -311,19 +313,19 @@ class Resolver:
         )  # fmt: skip
         if root.path is not None:
             self.vars[path] = variable
-        if own:
+        if subscripts:
             variable.dims = tuple(
                 self._dimension(s, scope, k, lambda: self._bound_shape(attributes, component.at))
-                for k, (s, scope) in enumerate(own)
+                for k, (s, scope) in enumerate(subscripts)
             )
         return variable
 
     def _dimension(self, subscript: Expression, scope: Instance, position: int, shape: Any) -> int:
         if isinstance(subscript, All):
-            found = shape()
-            if len(found) <= position:
+            dims = shape()
+            if len(dims) <= position:
                 raise ModelicaError("the value has fewer dimensions than the declaration", where=subscript.at)
-            return int(found[position])
+            return int(dims[position])
         if isinstance(subscript, Reference):
             literals = self._enumeration_type(subscript, scope)
             if literals is not None:
@@ -336,8 +338,8 @@ class Resolver:
     def _enumeration_type(self, name: Reference, scope: Instance) -> tuple[tuple[str, str], ...] | None:
         if name.name == "Boolean":
             return (("false", ""), ("true", ""))
-        found = self.world.find(scope, name.parts[0].name, name.rooted)
-        if isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+        target = self.world.find(scope, name.parts[0].name, name.rooted)
+        if isinstance(target, Slot) and isinstance(target.element, ComponentDef):
             return None
         ref = self.world.lookup_class(scope, name)
         if ref is None:
@@ -600,8 +602,8 @@ class Resolver:
             inner = dict(env)
             iterators = []
             for name, bounds in e.iterators:
-                found = self._implied(name, e.element, scope, env) if bounds is None else bounds
-                iterators.append((name, self.expr(found, scope, inner)))
+                values = self._implied(name, e.element, scope, env) if bounds is None else bounds
+                iterators.append((name, self.expr(values, scope, inner)))
                 inner[name] = None
             return Comprehension(e.at, self.expr(e.element, scope, inner), tuple(iterators))
 
@@ -646,12 +648,12 @@ class Resolver:
 
     def _dimension_range(self, array: Reference, position: int, scope: Instance, env: Env) -> Range | None:
         """Range of a dimension that Booleans or an enumeration count; None if numbers do."""
-        found = None if array.parts[0].name in env else self.world.find(scope, array.parts[0].name, array.rooted)
-        if len(array.parts) > 1 or not isinstance(found, Slot) or not isinstance(found.element, ComponentDef):
+        slot = None if array.parts[0].name in env else self.world.find(scope, array.parts[0].name, array.rooted)
+        if len(array.parts) > 1 or not isinstance(slot, Slot) or not isinstance(slot.element, ComponentDef):
             return None
-        subscripts = found.effective().element.subscripts
+        subscripts = slot.effective().element.subscripts
         subscript = subscripts[position] if position < len(subscripts) else None
-        return self._type_range(subscript, found.scope) if isinstance(subscript, Reference) else None
+        return self._type_range(subscript, slot.scope) if isinstance(subscript, Reference) else None
 
     def _type_range(self, name: Reference, scope: Instance) -> Range | None:
         """Range of all values of Boolean or of an enumeration; None for the name of anything else."""
@@ -675,48 +677,46 @@ class Resolver:
             return value
         if first.name == "time" and len(e.parts) == 1:
             return e
-        found = self.world.find_value(scope, first.name, e.rooted)
-        if isinstance(found, Literal):
-            return replace(found, at=e.at)
-        if found is None:
+        target = self.world.find_value(scope, first.name, e.rooted)
+        if isinstance(target, Literal):
+            return replace(target, at=e.at)
+        if target is None:
             raise ModelicaError(
                 f"there is no '{e.name}'" if len(e.parts) > 1 else f"there is no variable '{e.name}'", where=e.at,
                 fix=self.world.absent(e.name) if len(e.parts) > 1 else World.suggest(first.name, scope.root.slots),
             )  # fmt: skip
         position = 0
-        if isinstance(found, Slot) and isinstance(found.element, ComponentDef):
-            if found.scope.root.function:
+        if isinstance(target, Slot) and isinstance(target.element, ComponentDef):
+            if target.scope.root.function:
                 return self._local(e, scope, env)
-            self._check_use(found, e, scope)
-        while isinstance(found, ClassRef) or not isinstance(found.element, ComponentDef):
+            self._check_use(target, e, scope)
+        while isinstance(target, ClassRef) or not isinstance(target.element, ComponentDef):
             position += 1
-            member = self._member(found, e, position)
+            member = self._member(target, e, position)
             if isinstance(member, Literal):
                 return member
-            found = member
-        root = found.scope.root
-        return _Path(self, e, scope, env).walk(self.item(root, found.name), position)
+            target = member
+        root = target.scope.root
+        return _Path(self, e, scope, env).walk(self.item(root, target.name), position)
 
-    def _check_use(self, found: Slot, e: Reference, scope: Instance) -> None:
+    def _check_use(self, slot: Slot, e: Reference, scope: Instance) -> None:
         """Refuse variables of a class around that of the expression, and conditional components."""
-        declared = found.effective().element
+        declared = slot.effective().element
         assert isinstance(declared, ComponentDef)
-        around = found.scope.root is not scope.root and found.scope.root.path is not None
+        around = slot.scope.root is not scope.root and slot.scope.root.path is not None
         if around and not (declared.outer or "constant" in declared.prefixes):
             raise ModelicaError(
-                f"'{found.name}' belongs to the class around this one and is not constant", where=e.at,
+                f"'{slot.name}' belongs to the class around this one and is not constant", where=e.at,
                 fix="pass it as a parameter, or declare it inner and outer",
             )  # fmt: skip
-        if declared.condition is not None and found.scope.root is scope.root:
-            raise ModelicaError(
-                f"'{found.name}' is conditional, so it may only be used in connections", where=e.at
-            )
+        if declared.condition is not None and slot.scope.root is scope.root:
+            raise ModelicaError(f"'{slot.name}' is conditional, so it may only be used in connections", where=e.at)
 
-    def _member(self, found: Slot | ClassRef, e: Reference, position: int) -> Slot | Literal:
+    def _member(self, target: Slot | ClassRef, e: Reference, position: int) -> Slot | Literal:
         """Element of a package, or literal of an enumeration, that a part of a reference names."""
         if position >= len(e.parts):
             raise ModelicaError(f"'{e.name}' is a class, not a variable", where=e.at)
-        package = self.world.package(found, e.at)
+        package = self.world.package(target, e.at)
         name = e.parts[position].name
         if package.enumeration is not None:
             names = [n for n, _ in package.enumeration.enumeration or ()]
@@ -800,15 +800,15 @@ class Resolver:
         if name in UNSUPPORTED or parts[0] == "Connections":
             return self._in_tree(e, scope, env)
         reference = Reference(e.at, tuple(Part(p) for p in parts), e.rooted)
-        found = self._function_class(reference, scope)
-        if found is None:
+        called = self._function_class(reference, scope)
+        if called is None:
             if name in SUPPORTED:
                 return self._builtin(e, scope, env)
             raise ModelicaError(
                 f"there is no function '{name}'", where=e.at,
                 fix=self.world.absent(name) if len(parts) > 1 else World.suggest(name, SUPPORTED),
             )  # fmt: skip
-        ref = found
+        ref = called
         converts = ref.definition.kind in ("type", "builtin") and ref.definition.member("constructor") is None
         if ref.definition.enumeration is not None or converts:
             return self._builtin(replace(e, function="Integer"), scope, env)
@@ -867,25 +867,25 @@ class Resolver:
 
     def _function_class(self, reference: Reference, scope: Instance) -> ClassRef | None:
         """Class of a function by name; the name may begin with a component (``medium.f``)."""
-        found = self.world.find(scope, reference.parts[0].name, reference.rooted)
+        target = self.world.find(scope, reference.parts[0].name, reference.rooted)
         position = 0
-        while isinstance(found, Slot) and isinstance(found.element, ComponentDef):
+        while isinstance(target, Slot) and isinstance(target.element, ComponentDef):
             position += 1
             if position >= len(reference.parts):
                 raise ModelicaError(f"'{reference.name}' is a component, not a function", where=reference.at)
-            item = self.item(found.scope.root, found.name)
+            item = self.item(target.scope.root, target.name)
             if not isinstance(item, Instance):
                 raise ModelicaError(f"'{reference.name}' is not a function", where=reference.at)
-            found = item.slot(reference.parts[position].name)
-        if found is None:
+            target = item.slot(reference.parts[position].name)
+        if target is None:
             return None
         if position:
             for part in reference.parts[position + 1 :]:
-                member = self.world.member(found, part.name, reference.at)
+                member = self.world.member(target, part.name, reference.at)
                 if member is None:
                     return None
-                found = member
-            return self.world.class_ref(found)
+                target = member
+            return self.world.class_ref(target)
         return self.world.lookup_class(scope, reference)
 
     def _positional(
@@ -963,10 +963,14 @@ class Resolver:
 
     def _dims(self, e: Reference, scope: Instance, env: Env) -> tuple[int, ...] | None:
         """Sizes of a component without subscripts; None if that is not enough to know them."""
-        found = self.world.find(scope, e.parts[0].name, e.rooted)
-        if not isinstance(found, Slot) or not isinstance(found.element, ComponentDef) or found.scope.root.function:
+        target = self.world.find(scope, e.parts[0].name, e.rooted)
+        if (
+            not isinstance(target, Slot)
+            or not isinstance(target.element, ComponentDef)
+            or target.scope.root.function
+        ):
             return None
-        item = self.item(found.scope.root, found.name)
+        item = self.item(target.scope.root, target.name)
         out: tuple[int, ...] = ()
         for k, part in enumerate(e.parts):
             if part.subscripts:
@@ -1191,10 +1195,10 @@ class Resolver:
         inner = dict(env)
         iterators = []
         for name, bounds in s.iterators:
-            found = self._implied(name, s.body, scope, env) if bounds is None else bounds
-            if isinstance(found, Reference) and found.parts[0].name not in inner:
-                found = self._type_range(found, scope) or found
-            iterators.append((name, self.expr(found, scope, inner)))
+            values = self._implied(name, s.body, scope, env) if bounds is None else bounds
+            if isinstance(values, Reference) and values.parts[0].name not in inner:
+                values = self._type_range(values, scope) or values
+            iterators.append((name, self.expr(values, scope, inner)))
             inner[name] = None
         return ForStatement(s.at, tuple(iterators), self.statements(s.body, scope, inner))
 

@@ -141,7 +141,7 @@ def design_experiment(
             subject = subject_of(loaded, load_simulator, runner=runner, experiments=runs)
             answers = rivals_of(subject, left_open)
             made = design_for_diagnosis(loaded, subject, answers, evaluations=evaluations, seed=seed, say=say)
-            own = _of_diagnosis(made)
+            details = _of_diagnosis(made)
             drawn = made.rivals[:_DRAWN]
             predicted = {_words(r.names): _predicted(made.planned, made.excitation, r.values) for r in drawn}
         else:
@@ -155,9 +155,9 @@ def design_experiment(
                 seed=seed,
                 say=say,
             )
-            own = {"optimality": optimality, **_of_parameters(made)}
+            details = {"optimality": optimality, **_of_parameters(made)}
             predicted = {"at these parameter values": _predicted(made.planned, made.excitation, made.values)}
-    answer = {**_head(loaded, purpose, made.planned, made.excitation), **own}
+    answer = {**_head(loaded, purpose, made.planned, made.excitation), **details}
     designed = _designed(answer, made.planned, made.excitation)
     if out is not None:
         say("drawing", 0.97)
@@ -175,16 +175,16 @@ def campaign_and_diagnosis(
     CampaignError, ResultError, FmuidError
         One of them cannot be read, or they do not belong together.
     """
-    found = _diagnosis_file(what) or _diagnosis_file(start)
-    if found is None:
+    file = _diagnosis_file(what) or _diagnosis_file(start)
+    if file is None:
         return campaign_from(what, start, trust=trust, planned=True), None
-    answer = read_diagnosis(found)
+    answer = read_diagnosis(file)
     if _diagnosis_file(what) is None:
         return campaign_from(what, trust=trust), answer
     if not answer.get("campaign"):
-        raise FmuidError("names no campaign", where=found, fix="give the campaign, and this with --from")
-    own = start if start is not None and _diagnosis_file(start) is None else None
-    return campaign_from(answer["campaign"], own, trust=trust), answer
+        raise FmuidError("names no campaign", where=file, fix="give the campaign, and this with --from")
+    folder = start if start is not None and _diagnosis_file(start) is None else None
+    return campaign_from(answer["campaign"], folder, trust=trust), answer
 
 
 def _diagnosis_file(what: object) -> Path | None:
@@ -197,7 +197,7 @@ def _diagnosis_file(what: object) -> Path | None:
     return path / DIAGNOSIS if (path / DIAGNOSIS).is_file() else None
 
 
-def _head(campaign: Campaign, purpose: Purpose, planned: Planned, found: Excitation) -> dict[str, Any]:
+def _head(campaign: Campaign, purpose: Purpose, planned: Planned, excitation: Excitation) -> dict[str, Any]:
     time, case = planned.time, planned.case
     inputs = {
         d.name: {
@@ -206,7 +206,7 @@ def _head(campaign: Campaign, purpose: Purpose, planned: Planned, found: Excitat
             "max": float(np.max(d.written(u))),
             "rate": float(np.max(np.abs(np.diff(d.written(u)) / np.diff(time)))),
         }
-        for d, u in zip(planned.driven, found.samples, strict=True)
+        for d, u in zip(planned.driven, excitation.samples, strict=True)
     }
     return {
         "format": "fmuid-design",
@@ -214,12 +214,12 @@ def _head(campaign: Campaign, purpose: Purpose, planned: Planned, found: Excitat
         "purpose": purpose,
         "campaign": None if campaign.file is None else str(campaign.file),
         "setup": case.setup,
-        "description": found.description,
+        "description": excitation.description,
         "duration": float(time[-1] - time[0]),
         "sample_time": float(time[1] - time[0]),
         "repeats": planned.repeats,
-        "tried": found.evaluations,
-        "interrupted": found.interrupted,
+        "tried": excitation.evaluations,
+        "interrupted": excitation.interrupted,
         "inputs": inputs,
         "sigma": {c.signal: float(s) for c, s in zip(case.channels, planned.sigma, strict=True)},
         "assumed_limits": list(planned.assumed),
@@ -290,33 +290,33 @@ def _text(facts: Sequence[tuple[str, ...]]) -> str:
     return " ".join(f"{label}: {value}." for label, value, *_ in facts)
 
 
-def _run_facts(planned: Planned, found: Excitation) -> list[tuple[str, ...]]:
+def _run_facts(planned: Planned, excitation: Excitation) -> list[tuple[str, ...]]:
     time = planned.time
     made = "" if planned.repeats == 1 else f", made {planned.repeats} times"
     facts: list[tuple[str, ...]] = [
-        ("Run", f"{found.description}, {time[-1] - time[0]:.4g} s, setup {planned.case.setup}{made}"),
+        ("Run", f"{excitation.description}, {time[-1] - time[0]:.4g} s, setup {planned.case.setup}{made}"),
         *(
             ("Input", f"{d.name} from {np.min(d.written(u)):.4g} to {np.max(d.written(u)):.4g} {d.unit}")
-            for d, u in zip(planned.driven, found.samples, strict=True)
+            for d, u in zip(planned.driven, excitation.samples, strict=True)
         ),
     ]
     if planned.assumed:
         facts.append(("Limits, taken from the recorded runs as none are given", "; ".join(planned.assumed)))
-    if found.interrupted:
-        facts.append(("Interrupted", f"the best of {counted(found.evaluations, 'excitation')}", "warn"))
+    if excitation.interrupted:
+        facts.append(("Interrupted", f"the best of {counted(excitation.evaluations, 'excitation')}", "warn"))
     return facts
 
 
-def _predicted(planned: Planned, found: Excitation, values: Mapping[str, float]) -> FloatArray:
-    (outcome,) = planned.under(found.samples).predict([values])
+def _predicted(planned: Planned, excitation: Excitation, values: Mapping[str, float]) -> FloatArray:
+    (outcome,) = planned.under(excitation.samples).predict([values])
     if isinstance(outcome, SimulationError):
         raise outcome
     return outcome[0]
 
 
-def _designed(answer: Mapping[str, Any], planned: Planned, found: Excitation) -> Designed:
-    inputs = {d.name: d.written(u) for d, u in zip(planned.driven, found.samples, strict=True)}
-    return Designed(answer, planned.time, inputs, {d.name: d.unit for d in planned.driven}, found.interrupted)
+def _designed(answer: Mapping[str, Any], planned: Planned, excitation: Excitation) -> Designed:
+    inputs = {d.name: d.written(u) for d, u in zip(planned.driven, excitation.samples, strict=True)}
+    return Designed(answer, planned.time, inputs, {d.name: d.unit for d in planned.driven}, excitation.interrupted)
 
 
 def _write(

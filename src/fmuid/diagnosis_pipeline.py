@@ -52,19 +52,19 @@ if TYPE_CHECKING:
     from fmuid.report.document import Drawing
 
 
-def with_timing_of_log(campaign: Campaign, found: Found, runner: Runner) -> tuple[Campaign, str] | None:
+def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tuple[Campaign, str] | None:
     """Return the campaign with the timing that explains what the diagnosis blames on signals, and a note.
 
     That is a lag or delay of less than a sample, or crosstalk of an input: one that acts otherwise between its
     samples looks like it. None if the diagnosis has neither, or if no other timing explains it.
     """
     setups = {}
-    for setup in dict.fromkeys(case.setup for case in found.subject.model.cases):
-        cases = [case for case in found.subject.model.cases if case.setup == setup]
-        if not _may_be_timing(found, cases):
+    for setup in dict.fromkeys(case.setup for case in outcome.subject.model.cases):
+        cases = [case for case in outcome.subject.model.cases if case.setup == setup]
+        if not _may_be_timing(outcome, cases):
             continue
-        values = {**found.subject.model.fixed, **{u.name: u.start for u in found.subject.nominal}}
-        names = {without_owner(u.name) for u in found.subject.nominal}
+        values = {**outcome.subject.model.fixed, **{u.name: u.start for u in outcome.subject.nominal}}
+        names = {without_owner(u.name) for u in outcome.subject.nominal}
         convention = chosen(conventions_of(cases, values, names, runner))
         if convention.explains and convention.timing != campaign.models[setup].timing:
             setups[setup] = convention
@@ -84,33 +84,33 @@ def with_timing_of_log(campaign: Campaign, found: Found, runner: Runner) -> tupl
 
 
 def with_starts_of_runs(
-    campaign: Campaign, found: Found, subject_with: Callable[[Campaign], Subject]
+    campaign: Campaign, outcome: Found, subject_with: Callable[[Campaign], Subject]
 ) -> tuple[Campaign, str] | None:
     """Return the campaign with start states that are estimated for each run, and a note.
 
     None unless these explain a third of the gap, and more than the best explanation does; a firm verdict stays. A
     log that begins in motion may start at the model's outputs and depart from them in what follows.
     """
-    verdict, explained = found.diagnosis.verdict, found.corrected
+    verdict, explained = outcome.diagnosis.verdict, outcome.corrected
     firm = verdict.kind == "complete" or (verdict.kind == "effect" and not verdict.provisional)
     stages = {
         name: stage if stage.segments is not None or stage.observer else replace(stage, segments=math.inf)
         for name, stage in campaign.stages.items()
     }
-    if firm or not found.diagnosis.gap.present or found.subject.observed.nuisances or not stages:
+    if firm or not outcome.diagnosis.gap.present or outcome.subject.observed.nuisances or not stages:
         return None
     freed = replace(campaign, stages=stages)
     subject = subject_with(freed)
-    observed = with_states(subject.observed, subject.model, found.nominal.fit.values)
+    observed = with_states(subject.observed, subject.model, outcome.nominal.fit.values)
     if not observed.nuisances:
         return None  # a model that cannot be restarted
-    fit = refit_only(replace(subject, observed=observed), (), [found.nominal.fit.values])
+    fit = refit_only(replace(subject, observed=observed), (), [outcome.nominal.fit.values])
     left = math.inf if fit is None else gap(fit.residuals, observed)
-    if left > explained.gap or share_closed(found.nominal.gap, left) < CLOSURE_THAT_FINISHES:
+    if left > explained.gap or share_closed(outcome.nominal.gap, left) < CLOSURE_THAT_FINISHES:
         return None
     note = (
         f"The runs start elsewhere than the model: estimated start states of each run leave {left:.3g} of"
-        f' {found.nominal.gap:.3g} noise floors, so they were used; write segments = "run" in the'
+        f' {outcome.nominal.gap:.3g} noise floors, so they were used; write segments = "run" in the'
         " stages of campaign.toml"
     )
     return freed, note
@@ -118,24 +118,26 @@ def with_starts_of_runs(
 
 def _looked_again(
     campaign: Campaign,
-    found: Found,
+    outcome: Found,
     looks: Sequence[Callable[[Campaign, Found], tuple[Campaign, str] | None]],
     diagnosed: Callable[[Campaign], Found],
 ) -> tuple[Campaign, Found]:
     """Return the campaign that explains the runs better without an effect, if there is one, and its diagnosis."""
     for look in looks:
-        if (changed := look(campaign, found)) is not None:
+        if (changed := look(campaign, outcome)) is not None:
             campaign, note = changed
-            found = diagnosed(campaign)
-            found = replace(found, diagnosis=replace(found.diagnosis, notes=(note, *found.diagnosis.notes)))
-    return campaign, found
+            outcome = diagnosed(campaign)
+            outcome = replace(
+                outcome, diagnosis=replace(outcome.diagnosis, notes=(note, *outcome.diagnosis.notes))
+            )
+    return campaign, outcome
 
 
-def _may_be_timing(found: Found, cases: Sequence[Case]) -> bool:
+def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> bool:
     """Return whether the best answer has a lag or delay below a sample, or crosstalk of an input to an output."""
     step = min(float(np.median(np.diff(case.time))) for case in cases)
     shown = {channel.signal for case in cases for channel in case.channels}
-    for name, value in found.corrected.fit.values.items():
+    for name, value in outcome.corrected.fit.values.items():
         signal, prop = signal_and_property(name) or ("", "")
         if prop in ("lag", "delay") and 0.0 < value < step:
             return True
@@ -263,33 +265,33 @@ def diagnose(
         if rehearse:
             calibration.keep(key, calibration.fit_curves(rehearsal, "of this model, noise and set-up"))
         curves = calibration.kept(key)
-        found = diagnose_subject(subject, say=say, seed=seed, calibration=curves)
+        outcome = diagnose_subject(subject, say=say, seed=seed, calibration=curves)
 
         def subject_with(changed: Campaign) -> Subject:
             return _subject(changed, runner, experiments, tolerance or {})
 
-        campaign, found = _looked_again(
+        campaign, outcome = _looked_again(
             campaign,
-            found,
+            outcome,
             (partial(with_timing_of_log, runner=runner), partial(with_starts_of_runs, subject_with=subject_with)),
             lambda changed: diagnose_subject(subject_with(changed), seed=seed, calibration=curves),
         )
-        discovery = find_law(found, campaign.models, load_simulator, say=say, seed=seed) if law else None
+        discovery = find_law(outcome, campaign.models, load_simulator, say=say, seed=seed) if law else None
         added: Candidate | Tabulated | None = None
         if discovery is not None:
-            found, added = _with_law(found, discovery.found), discovery.best
+            outcome, added = _with_law(outcome, discovery.found), discovery.best
         if law and added is None:
-            added = tabulate(found, campaign.models, load_simulator, say=say, seed=seed)
-            found = found if added is None else _with_table(found, added)
+            added = tabulate(outcome, campaign.models, load_simulator, say=say, seed=seed)
+            outcome = outcome if added is None else _with_table(outcome, added)
         say("comparing machines", 0.968)
-        found = replace(found, diagnosis=replace(found.diagnosis, machines=_machines(found)))
-        found = replace(found, rehearsal=tuple(rehearsal))
+        outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, machines=_machines(outcome)))
+        outcome = replace(outcome, rehearsal=tuple(rehearsal))
         if folder is not None:
             say("drawing", 0.97)
-            _write(found, campaign, folder, seed, added)
+            _write(outcome, campaign, folder, seed, added)
     # The workers have ended, so any further simulation runs in this process.
-    model = replace(found.subject.model, runner=in_process)
-    return replace(found, subject=replace(found.subject, model=model))
+    model = replace(outcome.subject.model, runner=in_process)
+    return replace(outcome, subject=replace(outcome.subject, model=model))
 
 
 def _subject(
@@ -319,8 +321,8 @@ def campaign_from(
     from fmuid.campaigns.campaign_toml import load_campaign
 
     if isinstance(what, Result) or (not isinstance(what, Campaign) and is_run(Path(what))):
-        found = what if isinstance(what, Result) else Result.from_json(what)
-        what, start = found.source, start or found
+        result = what if isinstance(what, Result) else Result.from_json(what)
+        what, start = result.source, start or result
     campaign = (
         what
         if isinstance(what, Campaign)
@@ -348,8 +350,8 @@ def _rehearsed(subject: Subject, count: int, seed: int, say: Say) -> list[Trial]
     first = diagnose_subject(subject, seed=seed, calibration=unmapped)
 
     def weights(plant: Subject) -> tuple[Verdict, dict[tuple[str, ...], float]]:
-        found = diagnose_subject(plant, seed=seed, calibration=unmapped).diagnosis
-        return found.verdict, {a.effects: a.probability for a in found.answers}
+        diagnosis = diagnose_subject(plant, seed=seed, calibration=unmapped).diagnosis
+        return diagnosis.verdict, {a.effects: a.probability for a in diagnosis.answers}
 
     return calibration.calibrate(subject, first.nominal.fit, first.paths, weights, count=count, seed=seed, say=say)
 
@@ -361,89 +363,89 @@ def _files(campaign: Campaign, subject: Subject) -> list[Path]:
     return [*sorted(models), *([] if campaign.effects is None else [campaign.effects.file])]
 
 
-def answer_of(found: Found, campaign: Campaign | None = None) -> dict[str, Any]:
+def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any]:
     """Return the JSON object of a campaign's diagnosis, with the catalogue's words and the nominal refit."""
-    catalogue = found.subject.catalogue
-    described = {e.id: e.description for e in found.subject.effects}
-    described |= _courses(found)
+    catalogue = outcome.subject.catalogue
+    described = {e.id: e.description for e in outcome.subject.effects}
+    described |= _courses(outcome)
     units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
-    answer = found.diagnosis.to_dict()
+    answer = outcome.diagnosis.to_dict()
     for effect in answer["effects"]:
         if described.get(effect["id"]):
             effect["description"] = described[effect["id"]]
     for regime in (place["regime"] for place in answer["where"] if "regime" in place):
         if units.get(regime["variable"]):
             regime["unit"] = units[regime["variable"]]
-    recordings = found.subject.recordings
+    recordings = outcome.subject.recordings
     if campaign is not None and campaign.file is not None:
         answer["campaign"] = str(campaign.file)
-        best = found.diagnosis.best
+        best = outcome.diagnosis.best
         ids = () if best is None else (*best.effects, *(r.id for r in best.refinements))
         answer["corrected"] = list(dict.fromkeys(ids))
-    if found.rehearsal:
-        answer["rehearsal"] = [trial.to_dict() for trial in found.rehearsal]
+    if outcome.rehearsal:
+        answer["rehearsal"] = [trial.to_dict() for trial in outcome.rehearsal]
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
-    answer["nominal"] = {"parameters": found.subject.model.expanded(found.nominal.fit.values)}
+    answer["nominal"] = {"parameters": outcome.subject.model.expanded(outcome.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
-    at_bounds = _at_bounds(found)
+    at_bounds = _at_bounds(outcome)
     if at_bounds:
         answer["notes"].append(
             f"At a bound of the campaign, so hardly determined by these experiments: {', '.join(at_bounds)}."
         )
-    for effect, value in found.subject.modelled.items():
+    for effect, value in outcome.subject.modelled.items():
         answer["notes"].append(f"Not looked for, because the campaign has it in the model: {effect} ({value}).")
-    if found.subject.observed.bounded:
+    if outcome.subject.observed.bounded:
         answer["notes"].append(_BOUNDED)
     return answer
 
 
-def _courses(found: Found) -> dict[str, str]:
+def _courses(outcome: Found) -> dict[str, str]:
     """Return the coefficients that vary in the answers, in words and numbers, by effect."""
-    every = [(e, f) for f in found.surviving for e in found.subject.effects if e.id in f.effects]
-    courses = {e.id: course_of(found.subject, e, f.fit.values) for e, f in reversed(every)}
+    every = [(e, f) for f in outcome.surviving for e in outcome.subject.effects if e.id in f.effects]
+    courses = {e.id: course_of(outcome.subject, e, f.fit.values) for e, f in reversed(every)}
     return {id: str(course) for id, course in courses.items() if course is not None}
 
 
-def _at_bounds(found: Found) -> list[str]:
+def _at_bounds(outcome: Found) -> list[str]:
     """Return the nominal parameters of the corrected model that ended at a bound, with their values."""
-    values = found.corrected.fit.values
+    values = outcome.corrected.fit.values
     return [
         f"{u.name} = {values[u.name]:.4g}"
-        for u in found.subject.nominal
+        for u in outcome.subject.nominal
         if min(values[u.name] - u.lower, u.upper - values[u.name]) <= 0.01 * u.step
     ]
 
 
-def _machines(found: Found) -> BetweenMachines | None:
+def _machines(outcome: Found) -> BetweenMachines | None:
     """Return the differences between machines.
 
     If no effect is named, for instance because its size differs between machines, the effect that comes closest is
     included, provided that separate values per machine then leave much less of the gap than without it.
     """
-    named = found.surviving[0] if found.surviving else found.nominal
-    machines = between_machines(found.subject, named)
-    if machines is None or found.surviving or found.best is None:
+    named = outcome.surviving[0] if outcome.surviving else outcome.nominal
+    machines = between_machines(outcome.subject, named)
+    if machines is None or outcome.surviving or outcome.best is None:
         return machines
-    other = between_machines(found.subject, found.best)
+    other = between_machines(outcome.subject, outcome.best)
     if other is None or other.gap is None or (machines.gap is not None and other.gap >= _MUCH_LESS * machines.gap):
         return machines
     return other
 
 
-def _with_law(found: Found, law: LawFound) -> Found:
+def _with_law(outcome: Found, law: LawFound) -> Found:
     """Return a diagnosis whose best explanation is the law found, if there is one."""
-    diagnosis = replace(found.diagnosis, law_found=law)
+    diagnosis = replace(outcome.diagnosis, law_found=law)
     if law.id and law.closure is not None and law.gap is not None:
         parameters = {n: Estimate(p.value, p.standard_error) for n, p in law.parameters.items()}
         best = Best((*law.beside, law.id), law.closure, law.gap, parameters=parameters)
         size = replace(diagnosis.gap, corrected=law.gap)
         diagnosis = replace(diagnosis, best=best, gap=size, model=dict(law.values))
-    return replace(found, diagnosis=diagnosis)
+    return replace(outcome, diagnosis=diagnosis)
 
 
-def _with_table(found: Found, table: Tabulated) -> Found:
+def _with_table(outcome: Found, table: Tabulated) -> Found:
     """Return a diagnosis whose best explanation has a table; a law that it refines has its refined parameters."""
-    best, diagnosis = table.best, found.diagnosis
+    best, diagnosis = table.best, outcome.diagnosis
     rest, refines = diagnosis.verdict.rest, not any(r.learned for r in best.refinements)
     if rest is not None and refines:
         rest = Rest(best.gap, rest.where) if best.gap > GAP_THAT_MATTERS else None
@@ -461,30 +463,30 @@ def _with_table(found: Found, table: Tabulated) -> Found:
         model={**table.subject.model.expanded(table.fitted.fit.values)},
         effects=effects,
     )
-    return replace(found, diagnosis=diagnosis)
+    return replace(outcome, diagnosis=diagnosis)
 
 
-def _drawing(campaign: Campaign, found: Found) -> Drawing | None:
+def _drawing(campaign: Campaign, outcome: Found) -> Drawing | None:
     """Return the picture of the first model that contains the verdict's place, or of the first if none does."""
     from fmuid.report.model_graph import drawing, graph_of
 
-    used = dict.fromkeys(run.setup for run in found.subject.observed.runs)
+    used = dict.fromkeys(run.setup for run in outcome.subject.observed.runs)
     sources = [m.source for name in used if (m := campaign.models[name]).source is not None]
     graphs = [graph_of(flat_model(source)) for source in sources if source is not None]
-    ports = found.diagnosis.verdict.ports
+    ports = outcome.diagnosis.verdict.ports
     graphs.sort(key=lambda g: not any(p in g.ports or p in g.parts for p in ports))
     return drawing(graphs[0], ports) if graphs else None
 
 
 def _write(
-    found: Found, campaign: Campaign, out: Path, seed: int, law: Candidate | Tabulated | None = None
+    outcome: Found, campaign: Campaign, out: Path, seed: int, law: Candidate | Tabulated | None = None
 ) -> Corrected | None:
     from fmuid.report import write_diagnosis_report
     from fmuid.report.diagnosis_arrays import pictures_of
     from fmuid.report.provenance_table import provenance_of
 
-    answer = answer_of(found, campaign)
-    corrected = _write_corrected(found, campaign, out, law)
+    answer = answer_of(outcome, campaign)
+    corrected = _write_corrected(outcome, campaign, out, law)
     if corrected is not None:
         answer["notes"] += corrected.notes
         answer["corrected_differs"] = corrected.differs
@@ -498,11 +500,11 @@ def _write(
         answer,
         out,
         campaign=campaign.title,
-        pictures=pictures_of(found, _predicted(law)),
-        model=_drawing(campaign, found),
-        units={n: u for e in found.subject.effects for n, u in e.units.items() if u != "1"}
+        pictures=pictures_of(outcome, _predicted(law)),
+        model=_drawing(campaign, outcome),
+        units={n: u for e in outcome.subject.effects for n, u in e.units.items() if u != "1"}
         | {n: p.unit for n, p in campaign.parameters.items() if p.unit},
-        provenance=provenance_of(campaign, seed, files=_files(campaign, found.subject)),
+        provenance=provenance_of(campaign, seed, files=_files(campaign, outcome.subject)),
     )
     return corrected
 
@@ -514,14 +516,14 @@ def _predicted(added: Candidate | Tabulated | None) -> Prediction | None:
 
 
 def _write_corrected(
-    found: Found, campaign: Campaign, out: Path, law: Candidate | Tabulated | None
+    outcome: Found, campaign: Campaign, out: Path, law: Candidate | Tabulated | None
 ) -> Corrected | None:
     """Write the model with the best explanation, simulate it, and compare it with the fitted prediction."""
-    fitted, subject = found.corrected, found.subject
+    fitted, subject = outcome.corrected, outcome.subject
     if law is not None:
         fitted, campaign = law.fitted, with_effect(campaign, law.effect.id, entry(law.effect))
         subject = replace(subject, effects=(*subject.effects, law.effect))
-    runner = found.subject.model.runner
+    runner = outcome.subject.model.runner
     written = write_corrected(
         campaign, subject, fitted.effects, fitted.fit.values, folder=out / FOLDER, runner=runner
     )

@@ -113,13 +113,13 @@ def global_sensitivity(
     with runner_on(workers, time_limit=time_limit, memory_limit=memory_limit) as runner:
         say("simulating the start values", 0.0)
         problem = Problem.of_stage(loaded, posed, simulators, runner=runner)
-        found = global_sensitivity_of(
+        sensitivity = global_sensitivity_of(
             problem, method, of=of, samples=samples, seed=seed, say=lambda share: say("simulating draws", share)
         )
     if out is not None:
         say("drawing", 1.0)
-        _write(found, loaded, Path(out))
-    return found
+        _write(sensitivity, loaded, Path(out))
+    return sensitivity
 
 
 def _with_planned_run(
@@ -171,19 +171,21 @@ def _planned_run(campaign: Campaign, simulator: Simulator, setup: str, inputs: s
     return replace(run, id=f"{id} (planned)" if id in taken else id)
 
 
-def answer_of_sensitivity(found: GlobalSensitivity, campaign: Campaign) -> Mapping[str, Any]:
+def answer_of_sensitivity(sensitivity: GlobalSensitivity, campaign: Campaign) -> Mapping[str, Any]:
     """Return the value of ``sensitivity.json``."""
-    own = found.to_dict()
-    head = {key: own.pop(key) for key in ("format", "version")}
-    return {**head, "campaign": None if campaign.file is None else str(campaign.file), **own}
+    answer = sensitivity.to_dict()
+    head = {key: answer.pop(key) for key in ("format", "version")}
+    return {**head, "campaign": None if campaign.file is None else str(campaign.file), **answer}
 
 
-def _write(found: GlobalSensitivity, campaign: Campaign, out: Path) -> None:
+def _write(sensitivity: GlobalSensitivity, campaign: Campaign, out: Path) -> None:
     from fmuid.report.provenance_table import provenance_of
     from fmuid.report.sensitivity_page import write_sensitivity_page
 
     with claim(out):
-        write_atomically(out / FILE_NAME, json.dumps(answer_of_sensitivity(found, campaign), indent=2) + "\n")
-        provenance = provenance_of(campaign, found.seed, "SALib")
+        write_atomically(
+            out / FILE_NAME, json.dumps(answer_of_sensitivity(sensitivity, campaign), indent=2) + "\n"
+        )
+        provenance = provenance_of(campaign, sensitivity.seed, "SALib")
         units = {spec.name: spec.unit or "" for spec in campaign.parameters.values()}
-        write_sensitivity_page(found, out, campaign=campaign.title, units=units, provenance=provenance)
+        write_sensitivity_page(sensitivity, out, campaign=campaign.title, units=units, provenance=provenance)

@@ -76,10 +76,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lines.write(json.dumps(rows[-1]) + "\n")
             print(rows[-1], flush=True)
     for rig in (*GAPS, ""):
-        own = [row for row in rows if rig in ("", row["rig"])]
-        if own:
-            place, law = (sum(row[what] for row in own) / len(own) for what in ("place", "law"))
-            print(f"{rig or 'all'}: {len(own)} cases, place {place:.2f}, law {law:.2f}")
+        of_rig = [row for row in rows if rig in ("", row["rig"])]
+        if of_rig:
+            place, law = (sum(row[what] for row in of_rig) / len(of_rig) for what in ("place", "law"))
+            print(f"{rig or 'all'}: {len(of_rig)} cases, place {place:.2f}, law {law:.2f}")
     return 0
 
 

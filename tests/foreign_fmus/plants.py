@@ -250,8 +250,8 @@ def simulated(plant: Plant, gap: Gap, time: Floats, inputs: Floats) -> Floats:
             here = plant.slope(x, gap.drive(u, z), values) + gap.flow(x, z)
             return np.concatenate([here, gap.hidden(x, u, z)])
 
-        found = solve_ivp(slope, (time[k], time[k + 1]), both[-1], "LSODA", rtol=1e-8, atol=1e-9)
-        both.append(found.y[:, -1])
+        solution = solve_ivp(slope, (time[k], time[k + 1]), both[-1], "LSODA", rtol=1e-8, atol=1e-9)
+        both.append(solution.y[:, -1])
     rows = np.array(both).T
     return gap.reads(rows[:n], acting, time, rows[n:])
 

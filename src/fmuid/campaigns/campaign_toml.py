@@ -585,9 +585,9 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
                 where=f"{where} starts",
                 fix="move the start or the bounds",
             )
-    own = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
-    own["depends_on"] = tuple(table.depends_on)
-    return ParameterSpec(name=name, **own)
+    keys = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
+    keys["depends_on"] = tuple(table.depends_on)
+    return ParameterSpec(name=name, **keys)
 
 
 def _check_bounds(table: _ParameterTable, where: str) -> None:

@@ -48,8 +48,8 @@ def schema(name: str) -> dict[str, Any]:
             if key in texts:
                 field["description"] = texts[key]
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"{_ADDRESS}/{name}"}
-    found: dict[str, Any] = json.loads(msgspec.json.encode(head | dict(made) | {"$defs": components}))
-    return found
+    document: dict[str, Any] = json.loads(msgspec.json.encode(head | dict(made) | {"$defs": components}))
+    return document
 
 
 def _is_json(value: Any) -> bool:

@@ -82,7 +82,7 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
     noisy = any(r.repeat_of_reference or any(s.sigma for s in r.inputs.values()) for r in runs)
     recorded = [_signals(*setup) for setup in setups]
     signals: dict[str, _Signal] = {}
-    for name, s in (item for own in recorded for item in own.items()):
+    for name, s in (item for of_setup in recorded for item in of_setup.items()):
         same = signals.get(name, s)
         signals[name] = s._replace(
             range=max(s.range, same.range), largest=max(s.largest, same.largest), least=min(s.least, same.least)
@@ -107,7 +107,7 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
             for o in signals.values()
             if o is not s
             and (s.causality == "output" or o.causality == "input")
-            and any({o.name, s.name} <= own.keys() for own in recorded)
+            and any({o.name, s.name} <= of_setup.keys() for of_setup in recorded)
         ]
         for (kind, law), (description, source) in _WORDS.items():
             if kind != s.causality or (kind == "input" and noisy and law in _REMOVE_NOISE):
@@ -133,7 +133,7 @@ class _Signal(NamedTuple):
 def _signals(
     runs: Sequence[Experiment], model: ModelSpec, variables: Mapping[str, Variable]
 ) -> dict[str, _Signal]:
-    found = {}
+    signals = {}
     for name, causality in dict.fromkeys((n, s.causality) for run in runs for n, s in run.signals.items()):
         variable = variables[model.variable(name)]
         unit = model.unit(name, variable.unit)
@@ -141,11 +141,11 @@ def _signals(
         values = np.concatenate([conversion(s.unit, unit)(s.values) for s in recorded])
         largest = float(np.nanmax(np.abs(values)))
         size = float(np.nanmax(values) - np.nanmin(values)) or largest
-        own = variable.name if causality == "input" else name
+        label = variable.name if causality == "input" else name
         if size > 0.0:
             least = float(np.nanmin(values))
-            found[own] = _Signal(own, causality, variable, unit or "1", size, largest, least)
-    return found
+            signals[label] = _Signal(label, causality, variable, unit or "1", size, largest, least)
+    return signals
 
 
 class _Size(NamedTuple):

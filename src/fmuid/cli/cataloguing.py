@@ -59,25 +59,25 @@ def effects(
                 where="--out",
                 fix="choose a campaign, made with: fmuid init LOG... --model MODEL.mo",
             )
-        found, unlooked = _of_model(what, class_name, root or [])
+        laws_at, unlooked = _of_model(what, class_name, root or [])
     elif root:
         fix = "write them in campaign.toml, as `roots` of a model"
         raise CampaignError("the libraries of a campaign are in its campaign.toml", where="--root", fix=fix)
     else:
         with printer.working("simulating the runs"), supervised(workers, time_limit, memory_limit) as runner:
-            text, found, unlooked = _of_campaign(what, runner)
+            text, laws_at, unlooked = _of_campaign(what, runner)
         if out is not None:
             from fmuid.core.files import write_atomically
 
             write_atomically(out, text)
-    width = max((len(name) for name in found), default=0)
-    for name, laws in found.items():
+    width = max((len(name) for name in laws_at), default=0)
+    for name, laws in laws_at.items():
         printer.say(f"{name:<{width}}  {', '.join(dict.fromkeys(laws))}")
     for line in unlooked:
         printer.say(str(line))
     if out is not None:
         printer.say(f'{out}: to use it, write in campaign.toml: [effects] catalogue = "{out.name}"')
-    ports = {name: list(dict.fromkeys(laws)) for name, laws in found.items()}
+    ports = {name: list(dict.fromkeys(laws)) for name, laws in laws_at.items()}
     printer.write({"ports": ports, "not_looked_for": [asdict(n) for n in unlooked], "out": out})
 
 
@@ -92,8 +92,8 @@ def _of_model(
     from fmuid.simulation.model_source import flat_model
 
     flat = flat_model(ModelSource.at(file, class_name, roots=roots))
-    found = possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
-    return found, tuple(inside(flat))
+    laws_at = possible_laws(flat) | {v.name: ["value"] for v in held_parameters(flat) if constant(v.binding)}
+    return laws_at, tuple(inside(flat))
 
 
 def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]], tuple[NotLookedFor, ...]]:
@@ -106,7 +106,7 @@ def _of_campaign(folder: Path, runner: Runner) -> tuple[str, dict[str, list[str]
 
     campaign = load_campaign(folder)
     text = made_catalogue(campaign, load_simulator, runner=runner)
-    found: dict[str, list[str]] = {}
+    laws_at: dict[str, list[str]] = {}
     for name, effect in tomllib.loads(text)["effects"].items():
-        found.setdefault(effect["port"], []).append(name.partition("@")[0])
-    return text, found, not_looked_for(campaign, load_simulator, runner)
+        laws_at.setdefault(effect["port"], []).append(name.partition("@")[0])
+    return text, laws_at, not_looked_for(campaign, load_simulator, runner)

@@ -37,25 +37,25 @@ def check(
 
     loaded = load_campaign(campaign, trust=trust)
     models = load_models(loaded)
-    found = static_check(loaded, models)
+    checked = static_check(loaded, models)
     printer = Printer(quiet, json)
     if simulate:
         with (
             printer.working("varying the parameters one by one"),
             supervised(workers, time_limit, memory_limit) as runner,
         ):
-            found = with_effects(found, loaded, models, runner)
-    errors = found.errors
+            checked = with_effects(checked, loaded, models, runner)
+    errors = checked.errors
     sizes = (("model", models), ("parameter", loaded.parameters), ("stage", loaded.stages))
     printer.say(
         f"{loaded.name}: {counted(len(loaded.measurements), 'run')} ({len(loaded.identification)} to identify,"
         f" {len(loaded.validation)} to validate), {', '.join(counted(len(what), word) for word, what in sizes)}"
     )
-    if found.effects:
+    if checked.effects:
         header = ("stage", "parameter", "sigma for 1 %", "step", "noise floor", "most in")
-        rows = [(e.stage, e.parameter, e.change, e.step, e.floor, e.criterion) for e in found.effects]
+        rows = [(e.stage, e.parameter, e.change, e.step, e.floor, e.criterion) for e in checked.effects]
         printer.table(header, rows)
-    for finding in found.findings:
+    for finding in checked.findings:
         printer.say(f"{finding.level}: {finding}")
     printer.say(counted(errors, "error") if errors else "no errors")
     if not errors:
@@ -64,8 +64,8 @@ def check(
         {
             "campaign": loaded.name,
             "ok": not errors,
-            "findings": [asdict(f) for f in found.findings],
-            "effects": [asdict(e) for e in found.effects],
+            "findings": [asdict(f) for f in checked.findings],
+            "effects": [asdict(e) for e in checked.effects],
         }
     )
     return 1 if errors else 0

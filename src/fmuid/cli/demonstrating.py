@@ -34,18 +34,18 @@ def demo(
     printer = Printer(quiet, json)
     with printer.working("simulating the logs of a rig"):
         rig = make_rig(out)
-    campaign, run, found = out / "campaign", out / "identified", out / "diagnosis"
+    campaign, run, diagnosis = out / "campaign", out / "identified", out / "diagnosis"
     printer.say(f"A drive: its model, and {len(rig.logs)} logs of a rig with an effect that the model lacks.")
     commands = [
         ["init", *map(str, rig.logs), *rig.model, "--out", str(campaign)],
         ["identify", str(campaign), "--out", str(run), "--no-report"],
-        ["diagnose", str(campaign), "--out", str(found)],
+        ["diagnose", str(campaign), "--out", str(diagnosis)],
     ]
     for command in commands:
         shown = [word for word in command if word not in map(str, rig.logs[1:])]
         printer.say(f"\n$ fmuid {shlex.join(shown).replace(str(rig.logs[0]), str(out / 'logs' / '*.csv'))}")
         _run(context, [*command, *(["--quiet"] if quiet else [])])
-    page = found / "index.html"
+    page = diagnosis / "index.html"
     printer.say(f"\nThe answer that fmuid did not know: the rig has {rig.lacking}.")
     printer.say(f"Report: {page}")
     printer.next("fmuid init LOG... --model MODEL.mo", "or --fmu MODEL.fmu: the same with your own model and logs")

@@ -26,8 +26,8 @@ def print_diagnosis(diagnosis: Mapping[str, Any], printer: Printer) -> None:
 
 def _print_rehearsal(rehearsal: Sequence[Mapping[str, Any]], printer: Printer) -> None:
     """Print which known effects were found in simulated plants with logs like the campaign's."""
-    found = sum(trial["right"] for trial in rehearsal)
-    printer.say(f"\nrehearsal: {found} of {len(rehearsal)} simulated plants with logs like yours diagnosed right")
+    right = sum(trial["right"] for trial in rehearsal)
+    printer.say(f"\nrehearsal: {right} of {len(rehearsal)} simulated plants with logs like yours diagnosed right")
     header = ["effect of the plant", "gap, floors", "verdict", "named", "right"]
     rows = [
         [
@@ -42,7 +42,7 @@ def _print_rehearsal(rehearsal: Sequence[Mapping[str, Any]], printer: Printer) -
     printer.table(header, rows)
 
 
-def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
+def print_validation(validation: DiagnosisValidation, answer: Mapping[str, Any], printer: Printer) -> None:
     """Print the correction, the runs that test it, errors by run and signal, and gaps by run."""
     from fmuid.diagnosis.corrected import law_of
     from fmuid.diagnosis.cross_validation import share_closed
@@ -60,13 +60,13 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
             "corrected: nothing, because the diagnosis names no effect; both columns are the refitted nominal"
             " model"
         )
-    if found.used is None:
+    if validation.used is None:
         printer.say("the diagnosis does not record its runs; those below may be among them")
-    elif found.used:
-        printer.say(f"used for the diagnosis, so not a test of it: {', '.join(found.used)}")
+    elif validation.used:
+        printer.say(f"used for the diagnosis, so not a test of it: {', '.join(validation.used)}")
     else:
-        printer.say(f"not used for the diagnosis: {', '.join(found.runs)}")
-    for note in found.notes:
+        printer.say(f"not used for the diagnosis: {', '.join(validation.runs)}")
+    for note in validation.notes:
         printer.say(note)
     rows = [
         [
@@ -80,19 +80,19 @@ def print_validation(found: DiagnosisValidation, answer: Mapping[str, Any], prin
             f"{100 * c.nrmse_corrected:.3g} %",
             f"{100 * share_closed(c.rmse_nominal, c.rmse_corrected):.3g} %",
         ]
-        for c in found.comparisons
+        for c in validation.comparisons
     ]
     errors = ["RMSE refitted", "corrected", "NRMSE refitted", "corrected", "closed"]
     printer.table(["run", "signal", "unit", "noise", *errors], rows)
     printer.say("")
-    if not found.gaps:
+    if not validation.gaps:
         printer.say("no gap in noise floors: the runs were not repeated")
         return
-    gaps = found.to_dict()["gaps"]
+    gaps = validation.to_dict()["gaps"]
     printer.table(
         ["gap, in noise floors", "refitted", "corrected", "closure"],
         [[name, g["nominal"], g["corrected"], round(g["closure"], 3)] for name, g in gaps.items()],
     )
-    if found.interval is not None:
-        low, high = found.interval
+    if validation.interval is not None:
+        low, high = validation.interval
         printer.say(f"closed on these runs: {gaps['all']['closure']:.2f} ({low:.2f} to {high:.2f}, 90 %)")

@@ -171,9 +171,9 @@ def validate(
             return 0
         if measurements is not None:
             raise FmuidError("is for a diagnosis", where="--measurements", fix="choose a campaign with these runs")
-        found = _validated(Result.from_json(run), printer, runner, campaign, experiment)
-    printer.write(_validation(found, printer, out))
-    return int(any(score.failure is not None for score in found.scores))
+        validation = _validated(Result.from_json(run), printer, runner, campaign, experiment)
+    printer.write(_validation(validation, printer, out))
+    return int(any(score.failure is not None for score in validation.scores))
 
 
 def diagnose(
@@ -260,7 +260,7 @@ def diagnose(
         dask_executor(dask) if dask else nullcontext() as executor,
         printer.working("") as shown,
     ):
-        found = run(
+        outcome = run(
             loaded,
             out=folder,
             experiments=experiment or (),
@@ -275,7 +275,7 @@ def diagnose(
             law=law,
             tolerance=pairs(tolerance or (), "--tolerance"),
         )
-    answer = answer_of(found, loaded)
+    answer = answer_of(outcome, loaded)
     print_diagnosis(answer, printer)
     printer.say(f"\n{folder / FILE_NAME}\nreport: {folder / 'index.html'}")
     if answer.get("corrected"):
@@ -284,7 +284,7 @@ def diagnose(
         again = shlex.join(["fmuid", "diagnose", str(corrected)])
         printer.next(again, "is anything else missing? fmuid identify also accepts this folder")
     left_open = answer["verdict"]["kind"] in ("ambiguous", "partial", "unknown")
-    if left_open and not found.subject.observed.nuisances:  # segments begin where a run was measured
+    if left_open and not outcome.subject.observed.nuisances:  # segments begin where a run was measured
         further = shlex.join(["fmuid", "design", str(folder), "--for", "diagnosis"])
         printer.next(further, "the run that best settles what is still open")
     printer.write(as_version_2(answer) if json_version == 2 else answer)
@@ -351,11 +351,11 @@ def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> d
         else None
     )
     with printer.working("simulating the runs"):
-        found = validate_diagnosis(
+        validation = validate_diagnosis(
             answer, loaded, others=others, corrected=corrected, experiments=asked.experiments, runner=runner
         )
-    print_validation(found, answer, printer)
-    return {"diagnosis": asked.file, "campaign": campaign, **found.to_dict()}
+    print_validation(validation, answer, printer)
+    return {"diagnosis": asked.file, "campaign": campaign, **validation.to_dict()}
 
 
 def _found_before(folder: Path) -> Result | None:
@@ -441,13 +441,13 @@ def _validated(
         return score(result, campaign, experiments=experiments, runner=runner)
 
 
-def _validation(found: Validation, printer: Printer, out: Path | None = None) -> dict[str, Any]:
-    printer.say(f"\nvalidation\n{found}")
+def _validation(validation: Validation, printer: Printer, out: Path | None = None) -> dict[str, Any]:
+    printer.say(f"\nvalidation\n{validation}")
     if out is not None:
         from fmuid.core.formatting import counted
         from fmuid.data.crosscheck_csv import Table, write_csv
 
-        for case, prediction in zip(found.cases, found.predictions, strict=True):
+        for case, prediction in zip(validation.cases, validation.predictions, strict=True):
             columns = {f"{c.signal}_measured": c.mean for c in case.channels}
             if prediction is not None:
                 columns |= {c.signal: y for c, y in zip(case.channels, prediction, strict=True)}
@@ -456,5 +456,5 @@ def _validation(found: Validation, printer: Printer, out: Path | None = None) ->
                 Table(case.task.time, columns, {n: units[n] for n in columns if n in units}),
                 out / f"{case.id}.csv",
             )
-        printer.say(f"{out}: {counted(len(found.cases), 'file')}")
-    return {"validation": found.to_dict()["scores"]}
+        printer.say(f"{out}: {counted(len(validation.cases), 'file')}")
+    return {"validation": validation.to_dict()["scores"]}

@@ -308,14 +308,14 @@ def _of_run(texts: list[str], run: str) -> list[str]:
     """Return the texts that apply to all runs or to this one: RUN:TEXT, with RUN a glob."""
     from fnmatch import fnmatchcase
 
-    found = []
+    texts_of_run = []
     for text in texts:
         name, colon, rest = text.partition(":")
         if not colon:
-            found.append(text)
+            texts_of_run.append(text)
         elif fnmatchcase(run, name):
-            found.append(rest)
-    return found
+            texts_of_run.append(rest)
+    return texts_of_run
 
 
 def _span(texts: list[str]) -> tuple[float, float]:

@@ -65,9 +65,9 @@ class Interruption:
             os.write(2, shown + b"\nfmuid: stopped at once\n")
             os._exit(INTERRUPTED)
 
-    def _unraisable(self, found: Any) -> None:  # sys.UnraisableHookArgs, which exists in stubs alone
-        if found.exc_type is KeyboardInterrupt:
+    def _unraisable(self, hook_arguments: Any) -> None:  # sys.UnraisableHookArgs, which exists in stubs alone
+        if hook_arguments.exc_type is KeyboardInterrupt:
             self._stopping = False
             signal.setitimer(signal.ITIMER_REAL, _MOMENT)
         else:
-            self._other_unraisable(found)
+            self._other_unraisable(hook_arguments)

@@ -89,7 +89,7 @@ def sensitivity(
     loaded = campaign_from(campaign, trust=trust, planned=True)
     folder = out or Path("runs") / f"{loaded.name}-sensitivity"
     with printer.working("") as shown:
-        found = global_sensitivity(
+        ranked = global_sensitivity(
             loaded,
             method.value,
             of=of.value,
@@ -106,10 +106,10 @@ def sensitivity(
             say=lambda what, share: shown(share, what),
             trust=trust,
         )
-    printer.say(str(found))
+    printer.say(str(ranked))
     printer.say(f"\n{folder / FILE_NAME}\npage: {folder / 'index.html'}")
     if not len(loaded.measurements):
         again = shlex.join(["fmuid", "design", str(campaign), "--for", "parameters"])
         printer.next(again, "the run that best determines these parameters")
-    printer.write(answer_of_sensitivity(found, loaded))
-    return INTERRUPTED if found.interrupted else 0
+    printer.write(answer_of_sensitivity(ranked, loaded))
+    return INTERRUPTED if ranked.interrupted else 0

@@ -106,12 +106,12 @@ def simulate(
         )
     values = numbers(set_ or [], "--set")
     with printer.working("") as shown, supervised(workers, time_limit, memory_limit) as runner:
-        found = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)
-    for note in found["notes"]:
+        answer = _simulate_campaign(model, values, experiment or ["*"], out, shown, runner)
+    for note in answer["notes"]:
         printer.say(f"note: {note}")
-    printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in found["nrmse"]])
-    printer.say(f"{found['out']}: {counted(len({row['experiment'] for row in found['nrmse']}), 'file')}")
-    printer.write(found)
+    printer.table(("experiment", "signal", "NRMSE"), [tuple(row.values()) for row in answer["nrmse"]])
+    printer.say(f"{answer['out']}: {counted(len({row['experiment'] for row in answer['nrmse']}), 'file')}")
+    printer.write(answer)
 
 
 def _value(name: str, text: str, variable: Variable, literals: Mapping[str, int]) -> float:
@@ -120,10 +120,10 @@ def _value(name: str, text: str, variable: Variable, literals: Mapping[str, int]
         what = f"'{name}' is a {variable.type}, and only numbers can be set"
         raise FmuidError(what, where="--set", fix="export the FMU with the value that you want")
     if literals:
-        found = literals.get(text, next((v for v in literals.values() if text == str(v)), None))
+        number = literals.get(text, next((v for v in literals.values() if text == str(v)), None))
         wanted = f"choose one of {', '.join(f'{n} ({v})' for n, v in literals.items())}"
     elif variable.type == "Boolean":
-        found = {"true": 1, "1": 1, "false": 0, "0": 0}.get(text.casefold())
+        number = {"true": 1, "1": 1, "false": 0, "0": 0}.get(text.casefold())
         wanted = "choose true or false"
     else:
         value = numbers([f"{name}={text}"], "--set")[name]
@@ -133,9 +133,9 @@ def _value(name: str, text: str, variable: Variable, literals: Mapping[str, int]
         ends = [f"{word} {end:g}" for word, end in (("from", low), ("to", high)) if end is not None]
         what = f"'{name}' cannot be {text}: it is declared {' '.join(ends)}"
         raise FmuidError(what, where="--set", fix="give a value within these bounds")
-    if found is None:
+    if number is None:
         raise FmuidError(f"'{name}' cannot be {text}", where="--set", fix=wanted)
-    return float(found)
+    return float(number)
 
 
 def _simulate_fmu(

@@ -55,21 +55,21 @@ def study(
     models = load_models(loaded)
     match_models(loaded, models)
     with printer.working("simulating the grid") as shown, supervised(workers, time_limit, memory_limit) as runner:
-        found = parameter_study(loaded, grid, stage=stage, simulators=models, runner=runner, progress=shown)
+        table = parameter_study(loaded, grid, stage=stage, simulators=models, runner=runner, progress=shown)
     units = {name: spec.unit or "" for name, spec in loaded.parameters.items()}
-    page = write_study_page(found, folder, campaign=loaded.title or loaded.name, units=units)
-    write_atomically(folder / TABLE, table_of(found).csv())
-    printer.say(str(found))
+    page = write_study_page(table, folder, campaign=loaded.title or loaded.name, units=units)
+    write_atomically(folder / TABLE, table_of(table).csv())
+    printer.say(str(table))
     printer.say(f"\n{folder / TABLE}\npage: {page}")
     printer.write(
         {
-            "stage": found.stage,
-            "over": found.over,
-            "columns": found.header,
-            "rows": [found.row(k) for k in range(len(found.points))],
-            "failures": found.failures,
-            "best": found.best,
+            "stage": table.stage,
+            "over": table.over,
+            "columns": table.header,
+            "rows": [table.row(k) for k in range(len(table.points))],
+            "failures": table.failures,
+            "best": table.best,
             "page": page,
         }
     )
-    return int(found.best is None)
+    return int(table.best is None)

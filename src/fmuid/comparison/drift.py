@@ -80,7 +80,7 @@ def drift_of(
     if not files:
         raise FmuidError("has no CSV files", where=reference, fix="write references with: fmuid simulate")
     simulator = _load(result) if result.suffix in (".fmu", ".ssp") else None
-    found = []
+    drifts = []
     for file in files:
         got = None if simulator else read_csv(result / file.name if result.is_dir() else result)
         table = read_csv(file)
@@ -104,8 +104,8 @@ def drift_of(
             comparisons = compare_tables(got, table, tolerance=tolerance, funnel=funnel, names=compared)
         except FmuidError as error:
             raise type(error)(error.what, where=error.where or where, fix=error.fix) from None
-        found.append(Drift(file.stem, got, table, comparisons, funnel))
-    return tuple(found)
+        drifts.append(Drift(file.stem, got, table, comparisons, funnel))
+    return tuple(drifts)
 
 
 def write_drift_report(drifts: Sequence[Drift], folder: Path, title: str) -> Path:

@@ -139,11 +139,11 @@ class Experiment:
     @property
     def digest(self) -> str:
         """Hash of the times, samples and settings; it does not depend on the id."""
-        found = hashlib.sha256(self.time.tobytes())
+        digest = hashlib.sha256(self.time.tobytes())
         for name, signal in sorted((*self.signals.items(), *self.unused.items())):
-            found.update(f"{name} {signal.causality} [{signal.unit}]".encode() + signal.values.tobytes())
-        found.update(repr(sorted(self.settings.items())).encode())
-        return found.hexdigest()
+            digest.update(f"{name} {signal.causality} [{signal.unit}]".encode() + signal.values.tobytes())
+        digest.update(repr(sorted(self.settings.items())).encode())
+        return digest.hexdigest()
 
 
 OutlierKind = Literal["spike", "held"]

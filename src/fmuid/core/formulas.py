@@ -92,8 +92,8 @@ class Expression:
         """Return the value at every sample of (N,) `columns`; NaN or infinite where it is undefined."""
         with np.errstate(all="ignore"):
             # A tree accepted by `parse` contains only arithmetic, names and these functions.
-            found = eval(_compiled(self), _OF_ARRAYS, {n: columns[n] for n in self.names})
-        return np.asarray(found, dtype=np.float64)
+            values = eval(_compiled(self), _OF_ARRAYS, {n: columns[n] for n in self.names})
+        return np.asarray(values, dtype=np.float64)
 
     def slope(self, values: Mapping[str, float], slopes: Mapping[str, float]) -> float:
         """Return the derivative at the parameter `values`, given the `slopes` of some of them.

@@ -118,16 +118,16 @@ def _choices(kind: type[Table], key: str) -> tuple[str, ...]:
 
 def numbers(table: Mapping[str, Any], where: str, prefix: str = "") -> dict[str, float]:
     """Return a table of numbers; ``load.J = 1`` without quotes also means the variable ``load.J``."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for key, value in table.items():
         name = prefix + key
         if isinstance(value, dict):
-            found |= numbers(value, where, f"{name}.")
+            values |= numbers(value, where, f"{name}.")
         elif isinstance(value, (bool, int, float)):
-            found[name] = finite(name, value, where)
+            values[name] = finite(name, value, where)
         else:
             raise CampaignError(f"'{name}' is not a number", where=where, fix="write a number")
-    return found
+    return values
 
 
 def finite(name: str, value: float, where: str) -> float:

@@ -120,16 +120,16 @@ def convert_factor(source: str, target: str | None, *, where: object = None) -> 
         As for `conversion`, with `where` in its message; or the two units differ by an offset, like degC and K.
     """
     try:
-        found = conversion(source, target)
+        convert = conversion(source, target)
     except UnitError as error:
         raise UnitError(error.what, where=where, fix=error.fix) from None
-    if found.offset:
+    if convert.offset:
         raise UnitError(
             f"'{source}' and '{target}' differ by an offset",
             where=where,
             fix=f"write the values in '{target}'",
         )
-    return found.factor
+    return convert.factor
 
 
 def check_unit(unit: str) -> None:

@@ -114,18 +114,18 @@ def read_csv(path: str | Path, layout: TableLayout = _AS_WRITTEN) -> Table:
         skip += 1
     text, dated = _dates_as_seconds(text, skip, delimiter) if names[0].casefold() in TIMES else (text, False)
     notes += ["time starts at the first date"] if dated else []
-    found, decimal_comma, others = _read_numbers(text, skip, names, path, delimiter)
+    columns, decimal_comma, others = _read_numbers(text, skip, names, path, delimiter)
     notes += ["decimal commas"] if decimal_comma else []
     notes += [f"not used (not numeric): {', '.join(others)}"] if others else []
-    of_lists = {n: units[n.partition("[")[0]] for n in found if n.partition("[")[0] in units}
-    units = of_lists | {n: u for n, u in units.items() if n in found}
+    of_lists = {n: units[n.partition("[")[0]] for n in columns if n.partition("[")[0] in units}
+    units = of_lists | {n: u for n, u in units.items() if n in columns}
     if layout.chosen:
-        found, units = _chosen(found, names, units, layout=layout, path=path)
+        columns, units = _chosen(columns, names, units, layout=layout, path=path)
     for name, unit in units.items():
         if unit.replace(" ", "") in PER_MINUTE:
             units[name] = "rpm"
             notes.append(per_minute_note(name, unit))
-    return _over_time(found, units, notes, dated=dated, layout=layout, path=path)
+    return _over_time(columns, units, notes, dated=dated, layout=layout, path=path)
 
 
 def _over_time(
@@ -363,12 +363,12 @@ def _header(text: str, layout: TableLayout, delimiter: str, path: Path) -> tuple
         return [str(k + 1) for k in range(len(cells))], 0
     rows = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True, skipinitialspace=True)
     try:
-        found = next((row for row in rows if any(cell.strip() for cell in row)), None)
+        header = next((row for row in rows if any(cell.strip() for cell in row)), None)
     except csv.Error as error:
         raise _malformed(path, 1, error) from None
-    if found is None:
+    if header is None:
         raise MeasurementsError("is empty", where=path, fix=_FIRST_LINE)
-    return found, rows.line_num
+    return header, rows.line_num
 
 
 def _read_header(header: list[str], layout: TableLayout, path: Path) -> tuple[list[str], dict[str, str]]:
@@ -396,7 +396,7 @@ def _read_header(header: list[str], layout: TableLayout, path: Path) -> tuple[li
 
 
 def _chosen(
-    found: Mapping[str, FloatArray],
+    read: Mapping[str, FloatArray],
     names: Sequence[str],
     units: Mapping[str, str],
     *,
@@ -406,11 +406,11 @@ def _chosen(
     """Return the chosen columns under their new names, and their units."""
     columns, stated = dict[str, FloatArray](), dict[str, str]()
     for header, source in layout.chosen:
-        old = source if source in found else names[source_of(source, names, path)]
-        if old not in found:
+        old = source if source in read else names[source_of(source, names, path)]
+        if old not in read:
             raise MeasurementsError(f"column '{source}' is not numeric", where=path, fix="choose another one")
         name, unit = name_and_unit(header)
-        columns[name] = found[old]
+        columns[name] = read[old]
         if (unit := units.get(old) if unit is None else unit) is not None:
             stated[name] = unit
     return columns, stated
@@ -504,20 +504,20 @@ def _read_numbers(
             lines.append(skip + rows.line_num)
     except csv.Error as error:
         raise _malformed(path, skip + rows.line_num, error) from None
-    found: dict[str, FloatArray] = {}
+    columns: dict[str, FloatArray] = {}
     others: list[str] = []
     for name, column in zip(names, zip(*cells, strict=True), strict=False):
         texts = [cell.strip() for cell in column]
         if any(texts) and all(_LIST.fullmatch(cell) for cell in texts if cell):
-            found |= _elements(name, texts, lines, path)
+            columns |= _elements(name, texts, lines, path)
         elif name.casefold() not in TIMES and any(texts) and not any(_NUMBER.fullmatch(cell) for cell in texts):
             others.append(name)
         else:
             numbers = [
                 _number(c, name, f"{path} line {k}", decimal_comma) for c, k in zip(texts, lines, strict=True)
             ]
-            found[name] = np.array(numbers, dtype=np.float64)
-    return found, decimal_comma, others
+            columns[name] = np.array(numbers, dtype=np.float64)
+    return columns, decimal_comma, others
 
 
 def _elements(name: str, cells: Sequence[str], lines: Sequence[int], path: Path) -> dict[str, FloatArray]:

@@ -75,14 +75,14 @@ def member(group: Any, name: str, kind: Literal["group", "dataset"], error: Erro
             where=where,
             fix="copy the data into this file itself",
         )
-    found = group[name]
-    if not isinstance(found, h5py.Group if kind == "group" else h5py.Dataset):
+    element = group[name]
+    if not isinstance(element, h5py.Group if kind == "group" else h5py.Dataset):
         raise error(f"'{name}' is not a {kind}", where=where, fix=f"write it as a {kind}")
-    if kind == "dataset" and (found.is_virtual or found.external):
+    if kind == "dataset" and (element.is_virtual or element.external):
         raise error(
             f"'{name}' stores its data in other files", where=where, fix="copy the data into this file itself"
         )
-    return found
+    return element
 
 
 def samples(dataset: Any, error: Error, where: str) -> FloatArray:
@@ -121,7 +121,7 @@ def vectors(path: Path) -> tuple[str | None, dict[tuple[str, ...], StoredVector]
     list of str
         Places of other datasets and of links.
     """
-    found: dict[tuple[str, ...], StoredVector] = {}
+    stored: dict[tuple[str, ...], StoredVector] = {}
     others: list[str] = []
     with reading(path) as file:
         for place, dataset in _datasets(file, ()):
@@ -140,11 +140,11 @@ def vectors(path: Path) -> tuple[str | None, dict[tuple[str, ...], StoredVector]
                 unit = next(
                     (_text_attribute(dataset, n, path) for n in ("unit", "units") if n in dataset.attrs), None
                 )
-                found[place] = StoredVector(values, unit)
+                stored[place] = StoredVector(values, unit)
             else:
                 others.append(".".join(place))
         kind = _text_attribute(file, "format", path) if "format" in file.attrs else None
-    return kind, found, others
+    return kind, stored, others
 
 
 def _text_attribute(holder: Any, name: str, path: Path) -> str:

@@ -99,8 +99,8 @@ def read_isolated(read: Callable[[Path], _T], path: Path, *, limit: float | None
             raise
     if not fine:
         raise result
-    found: _T = result
-    return found
+    content: _T = result
+    return content
 
 
 def _too_slow(path: Path, limit: float) -> MeasurementsError:

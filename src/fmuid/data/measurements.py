@@ -42,11 +42,11 @@ def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Me
     path = Path(path)
     if fix_missing is not None and not path.exists():
         raise _Error("no such file", where=path, fix=fix_missing)
-    found = read_isolated(_read, path)
-    for experiment in found:
+    measurements = read_isolated(_read, path)
+    for experiment in measurements:
         for values in (experiment.time, *(s.values for s in experiment.signals.values())):
             values.flags.writeable = False  # not preserved by pickle
-    return found
+    return measurements
 
 
 def _read(path: Path) -> Measurements:
@@ -229,8 +229,8 @@ def _check_header(file: Any, path: Path) -> None:
         )
     version = hdf5.number(file, "version", _Error, str(path))
     if version != VERSION:
-        found = "no version" if version is None else f"version {version:g}"
-        raise _Error(f"has {found}", where=path, fix=f"this fmuid reads version {VERSION}")
+        stated = "no version" if version is None else f"version {version:g}"
+        raise _Error(f"has {stated}", where=path, fix=f"this fmuid reads version {VERSION}")
 
 
 def _read_experiment(experiments: Any, experiment_id: str, path: Path) -> Experiment:

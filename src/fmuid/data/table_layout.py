@@ -52,8 +52,8 @@ class TableLayout:
     @property
     def chosen(self) -> tuple[tuple[str, str], ...]:
         """Header and source of each chosen column."""
-        found = (_CHOSEN.fullmatch(column) for column in self.columns)
-        return tuple((m["header"].strip(), m["source"].strip()) for m in found if m is not None)
+        matches = (_CHOSEN.fullmatch(column) for column in self.columns)
+        return tuple((m["header"].strip(), m["source"].strip()) for m in matches if m is not None)
 
 
 def source_of(source: str, names: Sequence[str], where: object) -> int:

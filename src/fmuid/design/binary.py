@@ -69,8 +69,8 @@ class Levels:
         time = self.time - self.time[0]
         edges = np.append(time[:: self.length][: self.count], time[-1])
         made = []
-        for b, own, size in zip(self.bounds, levels, sizes.tolist(), strict=True):
-            reached = 0.5 * (b.upper + b.lower + (b.upper - b.lower) * own)
+        for b, level, size in zip(self.bounds, levels, sizes.tolist(), strict=True):
+            reached = 0.5 * (b.upper + b.lower + (b.upper - b.lower) * level)
             made.append(held(b.rest + size * (reached - b.rest), edges, time, b))
         return np.array(made)
 
@@ -138,8 +138,8 @@ def binary_sequence(
     response: Response, bounds: tuple[Bounds, ...], time: FloatArray, *, seed: int = 0
 ) -> BinarySequence | None:
     """Return a binary sequence that is near the best input; None if the model is not linear in its inputs."""
-    found = relaxed(response, bounds, time, seed=seed)
-    return None if found is None else BinarySequence(found.levels, found.sequence(seed))
+    optimum = relaxed(response, bounds, time, seed=seed)
+    return None if optimum is None else BinarySequence(optimum.levels, optimum.sequence(seed))
 
 
 def relaxed(
@@ -179,10 +179,10 @@ def _superposed(response: Response, levels: Levels, seed: int) -> FloatArray | N
     full, lowest = np.ones(inputs), -np.ones((inputs, count))
 
     def slopes(raised: tuple[int, int] | None) -> FloatArray:
-        own = lowest.copy()
+        raised_levels = lowest.copy()
         if raised is not None:  # by the whole range: a ramp takes as long as between two levels of a sequence
-            own[raised] = 1.0
-        return response.slopes(levels(own, full))
+            raised_levels[raised] = 1.0
+        return response.slopes(levels(raised_levels, full))
 
     low = slopes(None)
     parts = []
@@ -205,8 +205,8 @@ def _superposed(response: Response, levels: Levels, seed: int) -> FloatArray | N
 
 def _informed(response: Response, forms: FloatArray, factors: FloatArray) -> FloatArray:
     """Return the (P, P) information of relaxed levels, with what is known."""
-    own = forms @ (factors @ factors.T).ravel()
-    return response.known + own.reshape(response.known.shape)
+    added = forms @ (factors @ factors.T).ravel()
+    return response.known + added.reshape(response.known.shape)
 
 
 def _factors(response: Response, forms: FloatArray, n: int, seed: int, iterations: int) -> FloatArray:

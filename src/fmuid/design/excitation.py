@@ -79,8 +79,8 @@ class Shape:
 
     @property
     def _each(self) -> int:
-        own = {"multisine": 6 + _LINES * self.optimised, "chirp": 5, "steps": 1 + _LEVELS, "prbs": 4}
-        return own[self.family]
+        sizes = {"multisine": 6 + _LINES * self.optimised, "chirp": 5, "steps": 1 + _LEVELS, "prbs": 4}
+        return sizes[self.family]
 
     def __call__(self, x: FloatArray, time: FloatArray) -> FloatArray:
         """Return the (inputs, N) samples defined by (size,) numbers in [0, 1].

@@ -140,7 +140,7 @@ def design_for_parameters(
         say("the best binary sequence", 0.03)
         sequence = binary_sequence(criterion.response(values), bounds, planned.time, seed=seed)
         families += () if sequence is None else (sequence,)
-    found, *_ = search(
+    excitation, *_ = search(
         families,
         planned.time,
         criterion,
@@ -151,7 +151,7 @@ def design_for_parameters(
     names, sizes = [u.name for u in unknowns], _sizes(unknowns)
     errors = [
         dict(zip(names, _errors(m, sizes), strict=True))
-        for m in (known, known + criterion.information(found.samples, values))
+        for m in (known, known + criterion.information(excitation.samples, values))
     ]
     # One more run like a recorded one, made as often as the designed one will be.
     again = {
@@ -161,7 +161,7 @@ def design_for_parameters(
     }
     best = min(again, key=lambda id: criterion.cost_of(again[id]), default=None)
     repeated = None if best is None else (best, dict(zip(names, _errors(again[best], sizes), strict=True)))
-    return ParameterDesign(planned, found, criterion, values, errors[0], errors[1], repeated)
+    return ParameterDesign(planned, excitation, criterion, values, errors[0], errors[1], repeated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,11 +199,11 @@ class Information:
         return self._information(self.planned.under(samples), [values])[0]
 
     def _information(self, model: CampaignModel, points: Sequence[Mapping[str, float]]) -> list[FloatArray]:
-        found = []
+        information = []
         for here in linear_at(model, points, [self.unknowns] * len(points)):
             jacobian = np.stack([self.planned.whiten(here.slopes[u.name][0]) for u in self.unknowns], axis=1)
-            found.append(np.asarray(jacobian.T @ jacobian))
-        return found
+            information.append(np.asarray(jacobian.T @ jacobian))
+        return information
 
     def response(self, values: Mapping[str, float]) -> Response:
         """Return the information of the response at these values about the parameters, relative to their sizes."""
@@ -295,12 +295,12 @@ def _recorded(
     """Return the (P, P) information of every recorded run, by id, and the noise of every kind of run."""
     information, noise = dict[str, FloatArray](), dict[tuple[object, ...], SetupNoise]()
     for kind in dict.fromkeys(map(_kind, model.cases)):
-        own = replace(model, cases=tuple(c for c in model.cases if _kind(c) == kind))
-        noise[kind] = estimate_noise(own.runs)
-        observed = Observed(own.runs, {own.cases[0].setup: noise[kind]})
-        (here,) = linear_at(own, [values], [unknowns])
+        of_kind = replace(model, cases=tuple(c for c in model.cases if _kind(c) == kind))
+        noise[kind] = estimate_noise(of_kind.runs)
+        observed = Observed(of_kind.runs, {of_kind.cases[0].setup: noise[kind]})
+        (here,) = linear_at(of_kind, [values], [unknowns])
         columns = [observed.whiten(here.slopes[u.name]) for u in unknowns]
-        for e, case in enumerate(own.cases):
+        for e, case in enumerate(of_kind.cases):
             jacobian = np.stack([column[e] for column in columns], axis=1)
             information[case.id] = observed.repeats[e] * jacobian.T @ jacobian
     return information, noise

@@ -115,10 +115,10 @@ class Planned:
 
     def driven_case(self, samples: FloatArray) -> Case:
         """Return the run driven by (inputs, N) samples in the model's units."""
-        own = {d.variable: u for d, u in zip(self.driven, samples, strict=True)}
+        inputs = {d.variable: u for d, u in zip(self.driven, samples, strict=True)}
         if self.case.lead:
-            own = {name: np.append(u, u[-1]) for name, u in own.items()}
-        return replace(self.case, task=replace(self.case.task, inputs={**self.case.task.inputs, **own}))
+            inputs = {name: np.append(u, u[-1]) for name, u in inputs.items()}
+        return replace(self.case, task=replace(self.case.task, inputs={**self.case.task.inputs, **inputs}))
 
     def solved_well_enough(self, shapes: Sequence[Signals], points: Sequence[Mapping[str, float]]) -> Planned:
         """Return the run with a solver tolerance whose errors no measurement would show for any excitation.
@@ -132,8 +132,8 @@ class Planned:
             simulator = self.model.variant(case.setup, starts[-1]) or case.simulator
             cases.append(replace(case, id=f"{k}", simulator=simulator))
         sigma = [self.sigma / np.sqrt(self.repeats)] * len(cases)
-        found = solver_accuracy(cases, points[0], starts, self.model.runner, sigma=sigma, loosest=_LOOSEST)
-        tightest = min(found.tolerances.values(), default=self.case.task.tolerance)
+        accuracy = solver_accuracy(cases, points[0], starts, self.model.runner, sigma=sigma, loosest=_LOOSEST)
+        tightest = min(accuracy.tolerances.values(), default=self.case.task.tolerance)
         task = replace(self.case.task, tolerance=tightest)
         return replace(self, model=replace(self.model, cases=(replace(self.case, task=task),)))
 
@@ -211,8 +211,8 @@ def unrecorded_run(
     variables = simulator.variables
     given: dict[str, tuple[str | None, float | None]] = {n: (None, sigma) for n, sigma in spec.sigma.items()}
     recorded = {n: (s.unit, None) for e in campaign.measurements if e.setup == setup for n, s in e.outputs.items()}
-    own = {v.name: (None, None) for v in variables.values() if v.causality == "output"}
-    measured = given or {n: u for n, u in recorded.items() if model.variable(n) in variables} or own
+    outputs = {v.name: (None, None) for v in variables.values() if v.causality == "output"}
+    measured = given or {n: u for n, u in recorded.items() if model.variable(n) in variables} or outputs
     signals = {}
     for name, (written, sigma) in measured.items():
         variable = model.variable(name)

@@ -33,7 +33,7 @@ def rehearsed(planned: Planned, samples: FloatArray, rivals: Sequence[Rival], su
     SimulationError
         A run failed.
     """
-    found = np.zeros((len(rivals), len(rivals)))
+    separations = np.zeros((len(rivals), len(rivals)))
     before = [float(rival.residual @ rival.residual) for rival in rivals]
     under = planned.under(samples)
     for a, outcome in enumerate(under.predict([r.values for r in rivals])):
@@ -48,8 +48,8 @@ def rehearsed(planned: Planned, samples: FloatArray, rivals: Sequence[Rival], su
         observed = Observed(model.runs, subject.observed.noise)
         after = [_cost(model, observed, rival) for rival in rivals]
         gained = np.subtract(after, before) - (after[a] - before[a])
-        found[a] = np.sqrt(np.maximum(gained, 0.0))
-    return found
+        separations[a] = np.sqrt(np.maximum(gained, 0.0))
+    return separations
 
 
 def _cost(model: CampaignModel, observed: Observed, rival: Rival) -> float:

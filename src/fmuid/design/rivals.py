@@ -104,8 +104,8 @@ class DiagnosisDesign:
     @property
     def settled_for(self) -> list[Rival]:
         """The rivals that would remain alone after the run if they were right."""
-        own = np.where(np.eye(len(self.rivals), dtype=bool), np.inf, self.separations)
-        return [rival for rival, row in zip(self.rivals, own, strict=True) if row.min() >= SETTLED]
+        from_others = np.where(np.eye(len(self.rivals), dtype=bool), np.inf, self.separations)
+        return [rival for rival, row in zip(self.rivals, from_others, strict=True) if row.min() >= SETTLED]
 
     @property
     def hopeless(self) -> bool:
@@ -126,7 +126,7 @@ def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
     """
     effects, answers, verdict = (answer[key] for key in ("effects", "answers", "verdict"))
     assert isinstance(effects, list) and isinstance(answers, list) and isinstance(verdict, dict)  # noqa: PT018
-    found = {
+    estimated = {
         name: entry["value"]
         for effect in effects
         for name, entry in effect.get("parameters", {}).items()
@@ -147,7 +147,7 @@ def rivals_of(subject: Subject, answer: Mapping[str, object]) -> list[Fitted]:
     rivals = []
     for names in wanted[:_MOST]:
         trials = {k: v for n in names for k, v in by_id[n].trials[0].items()}
-        starts = [{**nominal["parameters"], **own} for own in (found, trials)]
+        starts = [{**nominal["parameters"], **guesses} for guesses in (estimated, trials)]
         fitted = fit_effects(subject, [by_id[n] for n in names], starts)
         if fitted is not None:
             rivals.append(fitted)
@@ -203,7 +203,7 @@ def design_for_diagnosis(
     rivals = tuple(rival_of(f, subject.observed, draws=_DRAWS, seed=seed + k) for k, f in enumerate(answers))
     families = shapes(campaign.design, [d.bounds for d in planned.driven], seed=seed)
     planned = planned.solved_well_enough(families, [r.values for r in rivals])
-    found = search(
+    excitations = search(
         families,
         planned.time,
         Apart(planned, rivals),
@@ -212,14 +212,16 @@ def design_for_diagnosis(
         say=lambda share: say("trying excitations", 0.1 + 0.7 * share),
     )
     say("refitting the answers to the best excitations", 0.82)
-    designed = _best(Apart(planned, rivals, subject), found[:1] if found[0].interrupted else found)
+    designed = _best(
+        Apart(planned, rivals, subject), excitations[:1] if excitations[0].interrupted else excitations
+    )
     if designed.excitation.interrupted or designed.least >= SETTLED:
         return designed
     say("looking for other changes that would help", 0.92)
     return replace(designed, beyond=tuple(_beyond(designed, subject, campaign)))
 
 
-def _best(criterion: Apart, found: Sequence[Excitation]) -> DiagnosisDesign:
+def _best(criterion: Apart, excitations: Sequence[Excitation]) -> DiagnosisDesign:
     """Return the design with the excitation that separates the rivals best.
 
     Raises
@@ -228,7 +230,7 @@ def _best(criterion: Apart, found: Sequence[Excitation]) -> DiagnosisDesign:
         A run failed under each of them.
     """
     designs, failure = [], None
-    for excitation in found:
+    for excitation in excitations:
         try:
             apart = criterion.distances(excitation.samples)
         except SimulationError as error:
@@ -287,15 +289,15 @@ def _misjudged(apart: FloatArray) -> float:
     return float(logsumexp(log_ndtr(-0.5 * pairs)) - np.log(len(pairs)))
 
 
-def _least(found: FloatArray) -> float:
-    return float(np.min(found[~np.eye(len(found), dtype=bool)]))
+def _least(separations: FloatArray) -> float:
+    return float(np.min(separations[~np.eye(len(separations), dtype=bool)]))
 
 
 def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> list[Beyond]:
     """Return changes that separate rivals which no excitation within the limits separates, best first."""
     planned, samples, rivals = designed.planned, designed.excitation.samples, designed.rivals
     criterion = Apart(planned, rivals, subject)
-    found = _sensors(designed, subject, campaign)
+    options = _sensors(designed, subject, campaign)
     for s in planned.settable:
         for value in (s.lower, s.upper):
             if np.isfinite(value):
@@ -305,13 +307,13 @@ def _beyond(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) -> 
                 setting = {n: to for n, to in planned.case.setting.items() if to[0] != s.variable}
                 case = replace(planned.case, task=task, setting=setting)
                 moved = replace(planned, model=replace(planned.model, cases=(case,)))
-                found += _tried("setting", f"{s.name} = {value:g}", Apart(moved, rivals, subject), samples)
+                options += _tried("setting", f"{s.name} = {value:g}", Apart(moved, rivals, subject), samples)
     rest = np.array([[d.bounds.rest] for d in planned.driven])
     names = " and ".join(d.name for d in planned.driven)
-    found += _tried(
+    options += _tried(
         "limits", f"{_WIDER:g} times the range of {names}", criterion, rest + _WIDER * (samples - rest)
     )
-    better = [b for b in found if b.separation > designed.least + 1.0]
+    better = [b for b in options if b.separation > designed.least + 1.0]
     return sorted(better, key=lambda b: -b.separation)
 
 
@@ -352,7 +354,7 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
     ]
     if len(drawn) < sum(len(r.draws) for r in rivals):
         return []
-    n, weight, found = len(case.channels), np.sqrt(planned.repeats), []
+    n, weight, options = len(case.channels), np.sqrt(planned.repeats), []
     far = distance_matrix(linear, drawn, rivals, lambda d: planned.whiten(d[0][:n]))
     closer = far**2 - designed.apart**2  # what refits take from the separation by the sensors that there are
 
@@ -367,7 +369,7 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
         what = f"a sensor of {sensor.description or sensor.name}"
         unit = f" {sensor.unit}" if sensor.unit else ""
         if sensor.noise > 0.0:
-            found.append(Beyond("sensor", f"{what} (noise {sensor.noise:.3g}{unit})", least(row, sensor.noise)))
+            options.append(Beyond("sensor", f"{what} (noise {sensor.noise:.3g}{unit})", least(row, sensor.noise)))
             continue
         span = float(np.ptp([p[0][row] for p in drawn])) or 1.0
         low, high = (share * span for share in _SENSORS)
@@ -376,5 +378,5 @@ def _sensors(designed: DiagnosisDesign, subject: Subject, campaign: Campaign) ->
         for _ in range(20):
             middle = float(np.sqrt(low * high))
             low, high = (middle, high) if least(row, middle) >= SETTLED else (low, middle)
-        found.append(Beyond("sensor", f"{what} with a noise below {low:.2g}{unit}", SETTLED))
-    return found
+        options.append(Beyond("sensor", f"{what} with a noise below {low:.2g}{unit}", SETTLED))
+    return options

@@ -158,17 +158,17 @@ def fit_curves(trials: Sequence[Trial], source: str) -> Calibration:
     """Fit the curve of each kind of verdict; with few trials it stays near the identity."""
     curves = {}
     for kind in dict.fromkeys(t.kind for t in trials):
-        own = [t for t in trials if t.kind == kind]
-        x = logit(np.clip([t.weight for t in own], _EDGE, 1 - _EDGE))
-        right = np.array([t.right for t in own])
+        of_kind = [t for t in trials if t.kind == kind]
+        x = logit(np.clip([t.weight for t in of_kind], _EDGE, 1 - _EDGE))
+        right = np.array([t.right for t in of_kind])
 
         def loss(c: FloatArray, x: FloatArray = x, right: FloatArray = right) -> float:
             odds = c[0] + c[1] * x
             prior = (c[0] / _SPREAD[0]) ** 2 / 2 + ((c[1] - 1.0) / _SPREAD[1]) ** 2 / 2
             return float(np.sum(np.logaddexp(0.0, np.where(right, -odds, odds))) + prior)
 
-        found = minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead").x
-        curves[kind] = (float(found[0]), float(max(found[1], 0.0)))
+        coefficients = minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead").x
+        curves[kind] = (float(coefficients[0]), float(max(coefficients[1], 0.0)))
     return Calibration(curves, len(trials), source)
 
 

@@ -111,8 +111,8 @@ def approached(
     for share in shares:
         part = beginning(subject, share)
         starts = [*starts, *({**starts[0], **trial} for trial in trials)]
-        found = sorted(_ends(part, unknowns, starts), key=lambda end: end[0])
-        starts = [values for cost, values in found if cost <= about(found[0][0])][:_KEPT]
+        ends = sorted(_ends(part, unknowns, starts), key=lambda end: end[0])
+        starts = [values for cost, values in ends if cost <= about(ends[0][0])][:_KEPT]
         if not starts:
             return None
     return starts[0] if shares else None
@@ -336,9 +336,9 @@ def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
     starts = [
         _best_start(subject, [{**point, **size} for size in sizes], basis) for point in (fitted.fit.values, unbent)
     ]
-    found = [start for start, cost in starts if np.isfinite(cost)]
+    finite = [start for start, cost in starts if np.isfinite(cost)]
     effects = [*(by_id[name] for name in fitted.effects), effect]
-    added = fit_effects(subject, effects, found) if found else None
+    added = fit_effects(subject, effects, finite) if finite else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return added
@@ -369,8 +369,8 @@ def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:
     effect, effects = by_id[score.effect], [by_id[name] for name in added.effects]
     shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
     unbent = {**added.fit.values, **subject.starts, **effect.neutral}
-    found = over_horizons(subject, effects, added, unbent, list(shapes.values()))
-    return escaped(subject, effects, found)
+    extended = over_horizons(subject, effects, added, unbent, list(shapes.values()))
+    return escaped(subject, effects, extended)
 
 
 def over_horizons(
@@ -417,14 +417,14 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
 
 def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
     """Refit `fitted` with each of its effects replaced by those that were left out in its favour."""
-    found = []
+    refitted_twins = []
     for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
         rest = without(subject, fitted, name) if same else None
         if rest is not None:
             added = [(add_effect(subject, rest, twin), twin) for twin in same[:_TWINS]]
-            found += [led_out(subject, fit, twin) for fit, twin in added if fit is not None]
-    return found
+            refitted_twins += [led_out(subject, fit, twin) for fit, twin in added if fit is not None]
+    return refitted_twins
 
 
 def _best_start(

@@ -195,16 +195,16 @@ class _Document:
         if not inside:
             return
         raw = read_toml(self.campaign.effects.file)
-        found: dict[str, Any] = {"effects": {}, "ports": {}}
+        tables: dict[str, Any] = {"effects": {}, "ports": {}}
         for source in (m.source for m in self.campaign.models.values()):
             if source is not None and source.effects is not None:  # effects of an earlier diagnosis
                 before = read_toml(source.effects)
-                found = {key: {**found[key], **before.get(key, {})} for key in found}
-        found["effects"] |= {name: raw["effects"][name] for name in inside}
-        ports = {e["port"] for e in found["effects"].values()}
-        found["ports"] |= {n: {"unit": raw["ports"][n].get("unit", "")} for n in ports if n in raw["ports"]}
+                tables = {key: {**tables[key], **before.get(key, {})} for key in tables}
+        tables["effects"] |= {name: raw["effects"][name] for name in inside}
+        ports = {e["port"] for e in tables["effects"].values()}
+        tables["ports"] |= {n: {"unit": raw["ports"][n].get("unit", "")} for n in ports if n in raw["ports"]}
         head = {"format": "fmuid-effects", "version": 1}
-        write_atomically(self.folder / EFFECTS, toml_document({**head, **found}))
+        write_atomically(self.folder / EFFECTS, toml_document({**head, **tables}))
 
     def _spec(self, setup: str) -> ModelSpec:
         """Return the model of a setup that has the effects inside it."""
@@ -253,7 +253,7 @@ class _Document:
     def _tables(self, specs: Mapping[str, ModelSpec], fmus: Mapping[str, Path]) -> dict[str, Any]:
         campaign, raw = self.campaign, dict(self.raw)
         nominal = list(dict.fromkeys(without_owner(u.name) for u in self.subject.nominal))
-        own = [u for e in self.effects for u in e.unknowns]
+        unknowns = [u for e in self.effects for u in e.unknowns]
         head = {"name": f"{campaign.name}-corrected", "title": f"{campaign.title}, corrected"}
         raw["campaign"] = {**raw.get("campaign", {}), **head}
         raw["campaign"].pop("make", None)
@@ -272,7 +272,7 @@ class _Document:
                     f"{name} has one value per {per}; the values found are only in the corrected campaign"
                 )
         described = {u.name: e.description for e in self.effects for u in e.unknowns}
-        for u in own:
+        for u in unknowns:
             value = min(max(self.values[u.name], u.lower), u.upper)
             table = {"start": value, "lower": u.lower, "upper": u.upper, "description": described[u.name]}
             parameters[u.name] = table | ({"unit": units[u.name]} if units.get(u.name) else {})
@@ -283,9 +283,9 @@ class _Document:
             followed = {**self._starts(name), "free": False, **({} if per == "campaign" else {"per": per})}
             parameters.setdefault(name, followed)
         raw["parameters"] = parameters
-        raw["stages"] = {"corrected": self._stage([*nominal, *(u.name for u in own)], tie)}
+        raw["stages"] = {"corrected": self._stage([*nominal, *(u.name for u in unknowns)], tie)}
         if "effects" in raw:
-            chosen: dict[str, Any] = {**raw["effects"], "nominal": [*nominal, *(u.name for u in own)]}
+            chosen: dict[str, Any] = {**raw["effects"], "nominal": [*nominal, *(u.name for u in unknowns)]}
             if "catalogue" in chosen:
                 catalogue = campaign.file.parent / chosen["catalogue"] if campaign.file else Path()
                 chosen["catalogue"] = self._path(catalogue)
@@ -309,10 +309,10 @@ class _Document:
     def _starts(self, name: str, otherwise: float = 0.0) -> dict[str, Any]:
         """Return the value found for a parameter, and those of single machines or runs if it has them."""
         begin = f"{name}{SEPARATOR}"
-        own = {n.removeprefix(begin): v for n, v in self.values.items() if n.startswith(begin)}
-        if not own:
+        by_owner = {n.removeprefix(begin): v for n, v in self.values.items() if n.startswith(begin)}
+        if not by_owner:
             return {"start": self.values.get(name, otherwise)}
-        return {"start": float(np.mean(list(own.values()))), "starts": own}
+        return {"start": float(np.mean(list(by_owner.values()))), "starts": by_owner}
 
     def _model(self, setup: str, spec: ModelSpec, fmu: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         """Return the table of a setup's model, with paths from here and the effects at its signals."""
@@ -562,8 +562,8 @@ def validate_diagnosis(
             channel = channels[run.id, signal]
             factor = abs(channel.to_shown.factor)
             noise = None if sigma.get(signal) is None else factor * sigma[signal]
-            own = (factor * before, factor * after, before / spread, after / spread)
-            comparisons.append(Comparison(run.id, signal, channel.shown_unit or None, noise, *own))
+            errors = (factor * before, factor * after, before / spread, after / spread)
+            comparisons.append(Comparison(run.id, signal, channel.shown_unit or None, noise, *errors))
     gaps, interval = _gaps(floor, predictions), _interval(floor, predictions)
     notes = _of_others(points[0], model)
     return DiagnosisValidation(tuple(comparisons), gaps, interval, tuple(e.id for e in chosen), used, notes)

@@ -108,8 +108,8 @@ class NoiseDraws:
         excess = (self.energy + less - self.weight @ self.free) / self.free[self.weight > 0.0].sum()
         largest = np.zeros(len(less))
         for i in range(0, len(signatures), _TOGETHER):
-            own = np.array(signatures[i : i + _TOGETHER])
-            scores = own @ self.noise - (own @ basis) @ taken
+            block = np.array(signatures[i : i + _TOGETHER])
+            scores = block @ self.noise - (block @ basis) @ taken
             largest = np.maximum(largest, (scores**2).max(axis=0))
         return Null(read_only(excess), read_only(largest), self.experiments)
 
@@ -126,13 +126,13 @@ def draw_noise(
     coherent = _coherence([c[:, w > 0.0] for c, w in zip(contrasts, weights, strict=True) if len(c)])
     begin = 0
     for e, (run, w, c) in enumerate(zip(observed.runs, observed.whiteners, contrasts, strict=True)):
-        own = noise[begin : begin + w.size]
+        of_run = noise[begin : begin + w.size]
         if len(c):
-            own[:] = c.T @ (rng.standard_normal((len(c), draws)) / np.sqrt(len(c)))
+            of_run[:] = c.T @ (rng.standard_normal((len(c), draws)) / np.sqrt(len(c)))
             mixed = _by_blocks(c, len(run.channels), draws, rng)
         else:
-            own[:] = rng.standard_normal((w.size, draws))
-            mixed = own.copy()
+            of_run[:] = rng.standard_normal((w.size, draws))
+            mixed = of_run.copy()
         if np.any(observed.noise[run.setup].repeating):  # absent from every contrast
             course = None if predicted is None else predicted[e]
             shared = rounding_draws(
@@ -141,13 +141,13 @@ def draw_noise(
             both = np.sqrt(len(run.values)) * w(shared).reshape(draws, -1).T
             if not len(c):  # of unit variance with the rounding
                 white = np.sqrt(np.maximum(1.0 - np.mean(both**2, axis=1, keepdims=True), 0.0))
-                own *= white
+                of_run *= white
                 mixed *= white
-            own += both
+            of_run += both
             mixed += both
         if observed.nuisances:
-            own[:], mixed = (project_off(x, observed.nuisances[e]) for x in (own, mixed))
-        of_runs += _energy(weights[e], own)
+            of_run[:], mixed = (project_off(x, observed.nuisances[e]) for x in (of_run, mixed))
+        of_runs += _energy(weights[e], of_run)
         # The noise level is of the same differences: a factor that was small in all of them makes it too low.
         factor = rng.f(1.0, sum(map(len, contrasts)), draws) if len(c) else 1.0
         energy += (1.0 + coherent * (factor - 1.0)) * _energy(weights[e], mixed)
@@ -169,12 +169,12 @@ def _by_blocks(contrasts: FloatArray, channels: int, draws: int, rng: np.random.
 
     The multipliers of the C channels are the same: what varies in several signals at once varies in the mixtures.
     """
-    found = np.zeros((contrasts.shape[1], draws))
+    mixed = np.zeros((contrasts.shape[1], draws))
     n = contrasts.shape[1] // channels
     for c in contrasts:
         each = rng.standard_normal((-(-n // _BLOCK), draws)) / np.sqrt(len(contrasts))
-        found += c[:, None] * np.tile(np.repeat(each, _BLOCK, axis=0)[:n], (channels, 1))
-    return found
+        mixed += c[:, None] * np.tile(np.repeat(each, _BLOCK, axis=0)[:n], (channels, 1))
+    return mixed
 
 
 def _coherence(contrasts: Sequence[FloatArray]) -> float:
@@ -291,20 +291,20 @@ def predicted_left_out(fit: Refit, observed: Observed, model: _Predicts, chords:
     solved = {group: _solved(steps.others(steps.groups == group)) for group in dict.fromkeys(observed.groups)}
     points = {group: steps.moved(move) for group, move in solved.items()}
     wanted = [(e, points[group]) for (e, _), group in zip(observed.folds, observed.groups, strict=True)]
-    found: list[FloatArray | None] = []
+    predicted: list[FloatArray | None] = []
     for k, outcome in enumerate(model.residuals_of(wanted, observed)):
         linear = steps.residuals[k] + steps.parts[k] @ solved[observed.groups[k]]
         part = None if outcome is None else outcome[observed.folds[k][1]]
-        found.append(part if part is not None and _confirmed(part, linear) else None)
+        predicted.append(part if part is not None and _confirmed(part, linear) else None)
     residuals: dict[int, tuple[FloatArray, ...]] = {}  # of all experiments, by the group that a refit left out
-    for k, part in enumerate(found):
+    for k, part in enumerate(predicted):
         group, (e, rows) = observed.groups[k], observed.folds[k]
         if part is None and group not in residuals:
             points[group], residuals[group] = _refitted_without(steps, steps.out(k), observed, model, chords)
         if part is None:
-            found[k] = residuals[group][e][rows]
+            predicted[k] = residuals[group][e][rows]
     return LeftOutFit(
-        tuple(points[group] for group in observed.groups), tuple(part for part in found if part is not None)
+        tuple(points[group] for group in observed.groups), tuple(part for part in predicted if part is not None)
     )
 
 
@@ -524,9 +524,9 @@ def closure_interval(
     rng = np.random.default_rng(seed)
     n = len(before.loss)
     b, a = np.empty((n, draws)), np.empty((n, draws))  # loss of every fold for every draw of its runs
-    for e, (own, other) in enumerate(zip(before.per_run, after.per_run, strict=True)):
-        pick = rng.integers(0, len(own), (draws, len(own)))
-        b[e] = before.loss[e] + own[pick].mean(axis=1) - own.mean()
+    for e, (runs_before, other) in enumerate(zip(before.per_run, after.per_run, strict=True)):
+        pick = rng.integers(0, len(runs_before), (draws, len(runs_before)))
+        b[e] = before.loss[e] + runs_before[pick].mean(axis=1) - runs_before.mean()
         a[e] = after.loss[e] + other[pick].mean(axis=1) - other.mean()
     folds, further = n, np.zeros(1)
     if null is not None:  # an experiment may consist of several folds, if runs were cut

@@ -245,9 +245,9 @@ def _losses(before: Fitted, after: Fitted) -> list[tuple[HeldOut, HeldOut]]:
     If the other experiments leave parameters uncertain, what a model predicts is no evidence against it within
     their errors; but it is if the effects at least double the gap of what they predict.
     """
-    found = [(before.held_out, after.held_out)]
+    losses = [(before.held_out, after.held_out)]
     refuted = closure(before.held_out, after.held_out) <= -1.0
-    return found if refuted else [*found, (before.judged, after.judged)]
+    return losses if refuted else [*losses, (before.judged, after.judged)]
 
 
 def closed_by(nominal: Fitted, best: Fitted) -> float:
@@ -366,8 +366,8 @@ def weigh(
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}
     odds = [log_odds(s, surviving[0], observed) for s in surviving]  # the first one need not be the likeliest
-    for s, own in zip(surviving, odds, strict=True):
-        weights[s.effects] = max(1e-6, named * float(np.exp(own - max(odds))))
+    for s, of_answer in zip(surviving, odds, strict=True):
+        weights[s.effects] = max(1e-6, named * float(np.exp(of_answer - max(odds))))
     total = sum(weights.values())
     return {effects: w / total for effects, w in weights.items()}
 
@@ -441,7 +441,7 @@ def _tolerance(name: str, value: float | str, channels: Mapping[str, Sequence[Ch
     where = f"tolerance of '{name}'"
     if name not in channels:
         raise CampaignError(f"the runs have no output '{name}'", where=where, fix=suggestion(name, channels))
-    own = channels[name]
+    of_signal = channels[name]
     match = _VALUE.match(str(value))
     size = float(match["number"]) if match else 0.0
     if match is None or not 0.0 < size < np.inf:
@@ -449,11 +449,11 @@ def _tolerance(name: str, value: float | str, channels: Mapping[str, Sequence[Ch
             f"'{value}' is not a positive number", where=where, fix="write it as in 0.2, '0.2 mm' or 5%"
         )
     if match["unit"] == "%":
-        return 0.01 * size * max(float(np.nanmax(c.repeats) - np.nanmin(c.repeats)) for c in own)
+        return 0.01 * size * max(float(np.nanmax(c.repeats) - np.nanmin(c.repeats)) for c in of_signal)
     if not match["unit"]:
-        return abs(size / own[0].to_shown.factor)
+        return abs(size / of_signal[0].to_shown.factor)
     try:
-        return abs(size * conversion(match["unit"], own[0].unit).factor)
+        return abs(size * conversion(match["unit"], of_signal[0].unit).factor)
     except UnitError as error:
         raise CampaignError(error.what, where=where, fix=error.fix) from None
 
@@ -485,24 +485,24 @@ def tolerated(subject: Subject, nominal: Fitted) -> tuple[Tolerated, ...]:
             error = factor * (predicted[c] - run.mean[c])[begin:end][there]
             floors.setdefault(channel.signal, []).append(factor**2 * float(floor[c]))
             excess.setdefault(channel.signal, []).append(float(np.mean(error**2)) - floors[channel.signal][-1])
-    found = []
-    for name, own in excess.items():
-        limit, mean = subject.tolerances.get(name), float(np.mean(own))
+    judged = []
+    for name, of_signal in excess.items():
+        limit, mean = subject.tolerances.get(name), float(np.mean(of_signal))
         small = GAP_THAT_MATTERS**2 * float(np.mean(floors[name]))
         if limit is None and mean <= small:
             continue
         factor = abs(shown[name].to_shown.factor)
         most = small if limit is None else limit**2
-        found.append(
+        judged.append(
             Tolerated(
                 name,
                 shown[name].shown_unit,
                 factor * float(np.sqrt(max(0.0, mean))),
                 None if limit is None else factor * limit,
-                _below(own, most) if len(own) > 1 else float(own[0] <= most),
+                _below(of_signal, most) if len(of_signal) > 1 else float(of_signal[0] <= most),
             )
         )
-    return tuple(found)
+    return tuple(judged)
 
 
 def _below(values: Sequence[float], most: float) -> float:

@@ -207,22 +207,22 @@ def diagnose_subject(
         observed = with_states(observed, model, nominal.fit.values)
         subject = replace(subject, observed=observed)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
-    subject, found = _search_settled(subject, nominal, say, seed=seed)
-    if found.evidence.present and not _holds(found, observed):
+    subject, searched = _search_settled(subject, nominal, say, seed=seed)
+    if searched.evidence.present and not _holds(searched, observed):
         say("searching again, with weights for a model that has errors of its own", 0.4)
-        subject, found = _beside_errors(subject, found, say, seed=seed)
+        subject, searched = _beside_errors(subject, searched, say, seed=seed)
     observed = subject.observed
     model = subject.model
-    nominal, scores, evidence, paths = found.nominal, found.scores, found.evidence, found.paths
-    if found.best is not None and evidence.present:
-        found = replace(found, candidates=[*found.candidates, *twins(subject, found.best, scores)])
-    classes = decide.merge_equivalent(found.candidates, nominal, subject.by_id, observed)
+    nominal, scores, evidence, paths = searched.nominal, searched.scores, searched.evidence, searched.paths
+    if searched.best is not None and evidence.present:
+        searched = replace(searched, candidates=[*searched.candidates, *twins(subject, searched.best, scores)])
+    classes = decide.merge_equivalent(searched.candidates, nominal, subject.by_id, observed)
     firsts = {id(fitted): group[0] for group in classes for fitted in group}
-    candidates = [fitted for fitted in found.candidates if firsts[id(fitted)] is fitted]
-    best = None if found.best is None else firsts.get(id(found.best), found.best)
-    found = replace(found, candidates=candidates, best=best)
+    candidates = [fitted for fitted in searched.candidates if firsts[id(fitted)] is fitted]
+    best = None if searched.best is None else firsts.get(id(searched.best), searched.best)
+    searched = replace(searched, candidates=candidates, best=best)
     closing = Closing(subject, nominal, evidence.null)
-    judgement = _judge(subject, found, closing, say)
+    judgement = _judge(subject, searched, closing, say)
     errors = tolerated(subject, nominal)
     if enough := bool(errors) and min(e.probability for e in errors) >= _LIKELIER_THAN_NOT:
         judgement = Judgement(Verdict("complete", within_tolerance=True), judgement.surviving[:1])
@@ -245,7 +245,7 @@ def diagnose_subject(
     if judgement.named:
         at = (subject.by_id[id].port for same in _equivalents(classes, judgement.named) for id in same.effects)
         verdict = replace(verdict, ports=tuple(dict.fromkeys((*verdict.ports, *at))))
-    explained = judgement.named[0] if judgement.named else _explaining(found, closing)
+    explained = judgement.named[0] if judgement.named else _explaining(searched, closing)
     corrected = nominal if explained is None else explained
     ambiguous = verdict.kind == "ambiguous"
     following = suggest(subject, judgement.surviving) if ambiguous else None
@@ -269,7 +269,7 @@ def diagnose_subject(
             floor_units={c: s for noise in observed.noise.values() for c, s in noise.sigma.items()},
             calibrated=all(n.calibrated for n in observed.noise.values()),
         ),
-        where=found.energy.shares(),
+        where=searched.energy.shares(),
         answers=tuple(sorted(answers, key=lambda a: -a.probability)),
         effects=_candidates(
             subject,
@@ -309,7 +309,7 @@ def diagnose_subject(
         tuple(candidates),
         tuple(scores),
         judgement.entered,
-        found.energy,
+        searched.energy,
         paths,
     )
 
@@ -329,37 +329,37 @@ def _onward(say: Say) -> Say:
 def _search_settled(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
     """Search for effects from a nominal model, again from any better optimum of it that the search finds."""
     subject, nominal = _settled(subject, nominal)
-    subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
-    for _ in range(_RESTARTS if found.evidence.present else 0):
-        better = better_nominal(subject, found.nominal, found.candidates)
+    subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed))
+    for _ in range(_RESTARTS if searched.evidence.present else 0):
+        better = better_nominal(subject, searched.nominal, searched.candidates)
         if better is None:
             break
         subject, nominal = _settled(subject, better)
-        subject, found = _refined(subject, _searched(subject, nominal, say, seed=seed))
-    return subject, found
+        subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed))
+    return subject, searched
 
 
-def _holds(found: _Searched, observed: Observed) -> bool:
+def _holds(searched: _Searched, observed: Observed) -> bool:
     """Return whether the best explanation of a search holds beyond doubt on left-out experiments."""
-    best = found.best
+    best = searched.best
     return best is not None and decide.beyond_doubt(
-        found.nominal, best, finished=best.gap <= GAP_THAT_MATTERS, bounded=observed.bounded
+        searched.nominal, best, finished=best.gap <= GAP_THAT_MATTERS, bounded=observed.bounded
     )
 
 
-def _beside_errors(subject: Subject, found: _Searched, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
+def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
     """Search again, with the errors of the nominal model added to the noise; return the better of both searches.
 
     Weights by the noise suit a model that is complete. Where a model's own errors are far larger, whatever these
     weights stress, such as high frequencies, decides between effects, and the fit is poor in the signals' units.
     """
-    observed = subject.observed.beside_errors(_prediction(subject, found.nominal.fit.values))
+    observed = subject.observed.beside_errors(_prediction(subject, searched.nominal.fit.values))
     if observed is subject.observed:
-        return subject, found
-    again = replace(subject, observed=with_states(observed, subject.model, found.nominal.fit.values))
-    again, second = _search_settled(again, refitted(again, found.nominal), say, seed=seed)
-    closed = [0.0 if one.best is None else decide.validated(one.nominal, one.best) for one in (found, second)]
-    return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, found)
+        return subject, searched
+    again = replace(subject, observed=with_states(observed, subject.model, searched.nominal.fit.values))
+    again, second = _search_settled(again, refitted(again, searched.nominal), say, seed=seed)
+    closed = [0.0 if one.best is None else decide.validated(one.nominal, one.best) for one in (searched, second)]
+    return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, searched)
 
 
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
@@ -391,24 +391,24 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Sea
     return _Searched(nominal, paths, energy, scores, noise, evidence, candidates, best)
 
 
-def _refined(subject: Subject, found: _Searched) -> tuple[Subject, _Searched]:
+def _refined(subject: Subject, searched: _Searched) -> tuple[Subject, _Searched]:
     """Refit the best model and its rivals to the end, with solver tolerances that are tight enough there.
 
     The search ends refits where an iteration gains little of the cost. In long records, that may be much evidence.
     """
-    best = found.best
+    best = searched.best
     if best is None:
-        return subject, found
+        return subject, searched
     most = (1.0 + _UNSETTLED) * best.fit.cost
     refined: dict[int, Fitted] = {}
-    for k, fitted in enumerate(found.candidates):
+    for k, fitted in enumerate(searched.candidates):
         if fitted is best or (len(fitted.effects) == len(best.effects) and fitted.fit.cost <= most):
             subject = tightened(subject, [fitted.fit.values])
             refined[k] = refitted(subject, fitted, tolerance=_TO_THE_END)
     subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
-    candidates = [refined.get(k, fitted) for k, fitted in enumerate(found.candidates)]
+    candidates = [refined.get(k, fitted) for k, fitted in enumerate(searched.candidates)]
     return subject, replace(
-        found, candidates=candidates, best=decide.best_of([*refined.values()], subject.observed)
+        searched, candidates=candidates, best=decide.best_of([*refined.values()], subject.observed)
     )
 
 
@@ -456,17 +456,17 @@ def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], 
     return replace(judgement, verdict=verdict, surviving=surviving)
 
 
-def _explaining(found: _Searched, closing: Closing) -> Fitted | None:
+def _explaining(searched: _Searched, closing: Closing) -> Fitted | None:
     """Return the best explanation; None if no model closes a part of the gap.
 
     Of the models that predict left-out data as well as the best one, the plausible ones come first, then those
     with the fewest parameters. A model counts as equally good if its loss is within one standard error of the
     least (Breiman et al. 1984) and its gap is hardly larger. Effects at implausible bounds may imitate others.
     """
-    if not found.evidence.present:
+    if not searched.evidence.present:
         return None
     explaining = [
-        c for c in found.candidates if c.effects and decide.closes_something(found.nominal, c, closing(c))
+        c for c in searched.candidates if c.effects and decide.closes_something(searched.nominal, c, closing(c))
     ]
     ranked = sorted(explaining, key=lambda c: -closing(c).validated)
     gains = ((c, *advantage(ranked[0].held_out, c.held_out, elsewhere=True)) for c in ranked)
@@ -507,19 +507,19 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     return Evidence(present, p_value, null, power)
 
 
-def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Judgement:
+def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) -> Judgement:
     """Return the verdict: the surviving answers, the evidence of free functions against them, and the rest."""
-    observed, nominal, paths = subject.observed, found.nominal, found.paths
-    evidence = found.evidence
+    observed, nominal, paths = subject.observed, searched.nominal, searched.paths
+    evidence = searched.evidence
     powerless = len(set(observed.groups)) < 2 or not (evidence.present or evidence.power)
-    surviving, plausible = _surviving(subject, found, closing)
+    surviving, plausible = _surviving(subject, searched, closing)
     best = surviving[0] if surviving else None
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
-    done = best is not None and finished(subject, best, found.scores, found.noise)
+    done = best is not None and finished(subject, best, searched.scores, searched.noise)
     at = {e.id: e.port for e in subject.effects}
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.effects))
-    own = [at[n] for n in best.effects] if best is not None else []
+    ports_named = [at[n] for n in best.effects] if best is not None else []
     named_at_all = (
         best is not None and plausible and decide.names(nominal, best, finished=done, bounded=observed.bounded)
     )
@@ -539,9 +539,11 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
         if best is not None and named_at_all and not (imitated or done):
             part = _sure_part(subject, nominal, best, alike=alike)
             imitated = part is None
-    if best is not None and named_at_all and not imitated and len(own) > len(set(own)) == 1:
-        say(f"free functions at {own[0]}", 0.8)  # one unnamed law of one variable may take the place of two
-        imitated = decide.lumped(best, _decoys(subject, found, own[0]))
+    if best is not None and named_at_all and not imitated and len(ports_named) > len(set(ports_named)) == 1:
+        say(
+            f"free functions at {ports_named[0]}", 0.8
+        )  # one unnamed law of one variable may take the place of two
+        imitated = decide.lumped(best, _decoys(subject, searched, ports_named[0]))
         if imitated and sure:
             entered = where_it_enters(subject, nominal)
     # Without repeats, a gap that no effect explains may be slow noise, unless a law fitted to some runs predicts
@@ -553,12 +555,12 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
         and best is not None
         and plausible
         and decide.closes_something(nominal, best, closing(best))
-        and decide.by_chance(nominal, best, len(found.candidates)) < 1.0
+        and decide.by_chance(nominal, best, len(searched.candidates)) < 1.0
     )
     if best is None or (doubted and not provisional):
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
-    stable = decide.stable(surviving, [nominal, *found.candidates], observed)
+    stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
     if part is not None:
         best = part.fitted
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
@@ -576,7 +578,7 @@ def _judge(subject: Subject, found: _Searched, closing: Closing, say: Say) -> Ju
     return Judgement(verdict, surviving, entered)
 
 
-def _surviving(subject: Subject, found: _Searched, closing: Closing) -> tuple[tuple[Fitted, ...], bool]:
+def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple[tuple[Fitted, ...], bool]:
     """Return the answers that the data leave open, and whether they are plausible.
 
     An effect at implausible bounds does not hide a plausible one next to it. What closes nothing of a gap is no
@@ -588,11 +590,11 @@ def _surviving(subject: Subject, found: _Searched, closing: Closing) -> tuple[tu
 
     def closes(fitted: Fitted) -> bool:
         if subject.observed.bounded:
-            return decide.closes_something(found.nominal, fitted, closing(fitted))
-        return decide.closed_by(found.nominal, fitted) > 0.0
+            return decide.closes_something(searched.nominal, fitted, closing(fitted))
+        return decide.closed_by(searched.nominal, fitted) > 0.0
 
-    best, candidates = found.best, found.candidates
-    if found.evidence.present:
+    best, candidates = searched.best, searched.candidates
+    if searched.evidence.present:
         candidates = [c for c in candidates if closes(c)]
         best = best if best is None or closes(best) else None
     if best is None:
@@ -606,10 +608,10 @@ def _surviving(subject: Subject, found: _Searched, closing: Closing) -> tuple[tu
     return kept or surviving, bool(kept)
 
 
-def _decoys(subject: Subject, found: _Searched, port: str) -> tuple[Decoy, ...]:
+def _decoys(subject: Subject, searched: _Searched, port: str) -> tuple[Decoy, ...]:
     """Return free functions of the model's variables at a port, fitted together with the nominal parameters."""
-    regimes, fit = subject.catalogue.regimes, found.nominal.fit
-    families = {**bases(found.paths, regimes), **own_bases(found.paths, regimes, port)}
+    regimes, fit = subject.catalogue.regimes, searched.nominal.fit
+    families = {**bases(searched.paths, regimes), **own_bases(searched.paths, regimes, port)}
     at = subject.catalogue.ports.get(port)
     responses = responses_of(subject.model, subject.observed, fit, at, families) if at is not None else ()
     return fit_decoys(responses, fit, subject.observed)
@@ -688,7 +690,7 @@ class Closing:
 
     def best(self, fitted: Fitted) -> Best:
         """Return a model as the best explanation."""
-        errors = {name: own for name, own in self._errors(fitted).items() if name}
+        errors = {name: of_run for name, of_run in self._errors(fitted).items() if name}
         of_effects = {u.name for id in fitted.effects for u in self.subject.by_id[id].unknowns}
         parameters = {n: e for n, e in estimates(fitted, self.subject).items() if n in of_effects}
         return Best(fitted.effects, self(fitted), fitted.gap, errors, parameters)
@@ -729,11 +731,11 @@ class Closing:
                 for name in ("", case.id):
                     sums[name, channel.signal] = sums.get((name, channel.signal), np.zeros(4)) + part
         units = {c.signal: c.shown_unit for case in subject.model.cases for c in case.channels}
-        found: dict[str, dict[str, PhysicalGap]] = {"": {}}
+        errors: dict[str, dict[str, PhysicalGap]] = {"": {}}
         for (name, signal), total in sums.items():
             rms = (float(np.sqrt(x / total[0])) if total[0] else 0.0 for x in total[1:])
-            found.setdefault(name, {})[signal] = PhysicalGap(units[signal], *rms)
-        return found
+            errors.setdefault(name, {})[signal] = PhysicalGap(units[signal], *rms)
+        return errors
 
 
 def _candidates(
@@ -751,14 +753,14 @@ def _candidates(
         best_with |= dict.fromkeys(answer.effects, answer)
     drops = {s.effect: s.drop for s in scores}
     known = {id(fitted): (closing(fitted), estimates(fitted, subject)) for fitted in best_with.values()}
-    found = []
+    judged = []
     for effect in subject.effects:
         inclusion = sum(p for names, p in probability.items() if effect.id in names)
         fitted = best_with.get(effect.id)
         if fitted is None:
-            found.append(Candidate(effect.id, inclusion, drops.get(effect.id)))
+            judged.append(Candidate(effect.id, inclusion, drops.get(effect.id)))
             continue
         closed, values = known[id(fitted)]
         parameters = {u.name: values[u.name] for u in effect.unknowns if u.name in values}
-        found.append(Candidate(effect.id, inclusion, drops.get(effect.id), closed, parameters))
-    return tuple(sorted(found, key=lambda c: -c.probability))
+        judged.append(Candidate(effect.id, inclusion, drops.get(effect.id), closed, parameters))
+    return tuple(sorted(judged, key=lambda c: -c.probability))

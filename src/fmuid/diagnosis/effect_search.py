@@ -246,18 +246,18 @@ def _added(
 
     The best fits, and `early` effects, which may be far from their best, escape from local minima.
     """
-    found: list[tuple[Fitted, Score]] = []
+    refits: list[tuple[Fitted, Score]] = []
     for k, score in enumerate(scores):
         say(f"refitting with {score.effect}", 0.7 * k / len(scores))
         added = add_effect(subject, fitted, score)
-        found += [(added, score)] if added is not None else []
-    found.sort(key=lambda pair: pair[0].fit.cost)
-    likely = {score.effect for _, score in found[:_EXTENDED]}.union(early)
-    for k, (added, score) in enumerate(found):
+        refits += [(added, score)] if added is not None else []
+    refits.sort(key=lambda pair: pair[0].fit.cost)
+    likely = {score.effect for _, score in refits[:_EXTENDED]}.union(early)
+    for k, (added, score) in enumerate(refits):
         if score.effect in likely:
-            say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(found))
-            found[k] = led_out(subject, added, score), score
-    return [added for added, _ in found if added.fit.cost < fitted.fit.cost]
+            say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(refits))
+            refits[k] = led_out(subject, added, score), score
+    return [added for added, _ in refits if added.fit.cost < fitted.fit.cost]
 
 
 def _to_the_end(subject: Subject, fitted: Fitted) -> Fitted:
@@ -305,9 +305,9 @@ def _moved(
             same = by_id[score.effect].law == by_id[name].law != "value"
             alike = same and before is not None and there is not None and similarity(before, there) > _ALIKE
             if alike and rest | {score.effect} not in good:
-                found = moved(subject, best, {name: score})
-                if found is not None:
-                    yield found
+                exchanged = moved(subject, best, {name: score})
+                if exchanged is not None:
+                    yield exchanged
 
 
 def _crossed(
@@ -321,9 +321,9 @@ def _crossed(
         if first is None or second is None or by_id[a].law == by_id[b].law:
             continue
         if frozenset(best.effects) - {a, b} | {first.effect, second.effect} not in known:
-            found = moved(subject, best, {a: first, b: second})
-            if found is not None:
-                yield found
+            exchanged = moved(subject, best, {a: first, b: second})
+            if exchanged is not None:
+                yield exchanged
 
 
 def _replaced(

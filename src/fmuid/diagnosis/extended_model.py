@@ -130,8 +130,8 @@ class CampaignModel:
 
     def cases_at(self, values: Mapping[str, float]) -> list[Case]:
         """Return the cases with the solver tolerances that a point needs."""
-        own = [tolerances for names, tolerances in self.finer.items() if names <= values.keys()]
-        needed = (min((t[case.id] for t in own if case.id in t), default=np.inf) for case in self.cases)
+        tightened = [tolerances for names, tolerances in self.finer.items() if names <= values.keys()]
+        needed = (min((t[case.id] for t in tightened if case.id in t), default=np.inf) for case in self.cases)
         return [self._finer_case(k, tolerance) for k, tolerance in enumerate(needed)]
 
     def _finer_case(self, index: int, tolerance: float) -> Case:
@@ -156,8 +156,8 @@ class CampaignModel:
             # Segments are fitted to the measured outputs.
             read = case.task.outputs if isinstance(case.simulator, Segmented) else ()
             task = replace(case.task, outputs=tuple(dict.fromkeys((*read, *variables))))
-            own = self.start_values(case, {**self.fixed, **values})
-            jobs.append((self._simulator(case, own), task, own))
+            starts = self.start_values(case, {**self.fixed, **values})
+            jobs.append((self._simulator(case, starts), task, starts))
         outcomes = self.runner(jobs)
         for outcome in outcomes:
             if isinstance(outcome, SimulationError):
@@ -197,31 +197,33 @@ class CampaignModel:
         ]
         jobs, moves = [], []
         for k, case in enumerate(self.cases_at(values)):
-            own = [
+            directions = [
                 _direction(self.start_values(case, above), self.start_values(case, below), width)
                 for (above, below), width in zip(ends, widths, strict=True)
             ]
-            moved = {name for along, _ in own for name in along}
+            moved = {name for along, _ in directions for name in along}
             point = self.start_values(case, plain)
             simulator = self._simulator(case, point)
             if moved and not simulator.differentiates(moved):
                 return _Differentiated()
-            jobs.append((simulator, self._task_along(k, case, own), point))
-            moves.append(own)
+            jobs.append((simulator, self._task_along(k, case, directions), point))
+            moves.append(directions)
         return _Differentiated(jobs, names, widths, ends, moves)
 
     def _tangents(self, posed: _Differentiated, outcomes: Sequence[Outcome]) -> dict[str, Prediction]:
-        found: dict[str, list[FloatArray]] = {name: [] for name in posed.names}
-        for case, own, outcome in zip(self.cases if outcomes else (), posed.moves, outcomes, strict=True):
+        tangents: dict[str, list[FloatArray]] = {name: [] for name in posed.names}
+        for case, directions, outcome in zip(self.cases if outcomes else (), posed.moves, outcomes, strict=True):
             if isinstance(outcome, SimulationError):
                 return {}
             n = len(case.task.outputs)
             base, slopes = outcome[:n], iter(outcome[n:].reshape(-1, n, outcome.shape[1]))
-            for name, pair, width, (along, size) in zip(posed.names, posed.ends, posed.widths, own, strict=True):
+            for name, pair, width, (along, size) in zip(
+                posed.names, posed.ends, posed.widths, directions, strict=True
+            ):
                 half = 0.5 * width * size * next(slopes) if along else np.zeros_like(base)
                 above, below = case.sensed(base + half, pair[0]), case.sensed(base - half, pair[1])
-                found[name].append((above - below) / width)
-        return {name: tuple(rows) for name, rows in found.items()}
+                tangents[name].append((above - below) / width)
+        return {name: tuple(rows) for name, rows in tangents.items()}
 
     @cached_property
     def _known(self) -> frozenset[str]:
@@ -235,12 +237,14 @@ class CampaignModel:
     def _split(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
         """Return the parameters of models, and those of signal effects by signal."""
         every = {**self.fixed, **values}
-        own = {n for n in every if without_owner(n) in self._known}
-        plain, disturbed = split_signal_parameters({n: v for n, v in every.items() if n not in own}, self._signals)
-        return {**plain, **{n: every[n] for n in every if n in own}}, disturbed
+        of_model = {n for n in every if without_owner(n) in self._known}
+        plain, disturbed = split_signal_parameters(
+            {n: v for n, v in every.items() if n not in of_model}, self._signals
+        )
+        return {**plain, **{n: every[n] for n in every if n in of_model}}, disturbed
 
-    def _task_along(self, index: int, case: Case, own: Sequence[Direction]) -> Task:
-        along = tuple(move for move, _ in own if move)
+    def _task_along(self, index: int, case: Case, directions: Sequence[Direction]) -> Task:
+        along = tuple(move for move, _ in directions if move)
         key = (index, case.task.tolerance, tuple(tuple(move.items()) for move in along))
         if key not in self._tasks:
             self._tasks[key] = replace(case.task, along=along)
@@ -249,26 +253,26 @@ class CampaignModel:
     def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return `values` with the model variables tied to them; as ``name@owner`` if those have owners."""
         every = {**self.fixed, **values}
-        machines, found = {case.machine for case in self.cases}, dict(values)
+        machines, everything = {case.machine for case in self.cases}, dict(values)
         for name, expression in self.tie.items():
             leaders = [n.split(SEPARATOR) for n in every if without_owner(n) in expression.names]
             owners = {owner for _, *of_one in leaders for owner in of_one}
             of_runs = not owners.isdisjoint(case.id for case in self.cases)
             if owners.isdisjoint(machines) and not of_runs:
-                found[name] = expression(every)
+                everything[name] = expression(every)
             else:
-                own = {case.id if of_runs else case.machine: case.values(every) for case in self.cases}
-                found |= {f"{name}{SEPARATOR}{owner}": expression(there) for owner, there in own.items()}
-        return found
+                by_owner = {case.id if of_runs else case.machine: case.values(every) for case in self.cases}
+                everything |= {f"{name}{SEPARATOR}{owner}": expression(there) for owner, there in by_owner.items()}
+        return everything
 
     def start_values(self, case: Case, values: Mapping[str, float]) -> dict[str, float]:
         """Return campaign parameters in the model's units; any other name is a variable of the model."""
-        own = {
+        starts = {
             name: v for name, v in values.items() if name in case.simulator.variables and name not in case.setting
         }
         every = case.values(values) if self.tie else {}
         tied = {name: e(every) for name, e in self.tie.items() if name in case.simulator.variables}
-        return {**own, **case.start_values(values), **tied}
+        return {**starts, **case.start_values(values), **tied}
 
     def _simulator(self, case: Case, values: Mapping[str, float]) -> Simulator:
         variant = self.variant(case.setup, values)
@@ -287,11 +291,11 @@ class CampaignModel:
     ) -> list[FloatArray | None]:
         """Return the whitened residual of each wanted case, by its number, at some values; None where it fails."""
         outcomes = zip(wanted, self.predict_at(wanted), strict=True)
-        found = [
+        residuals = [
             None if isinstance(outcome, SimulationError) else observed.residual(k, outcome)
             for (k, _), outcome in outcomes
         ]
-        return [part if part is not None and squares_finite([part]) else None for part in found]
+        return [part if part is not None and squares_finite([part]) else None for part in residuals]
 
     def residuals_at(self, values: Mapping[str, float], observed: Observed) -> tuple[FloatArray, ...] | None:
         """Return the whitened residuals of all cases at some values; None if one cannot be simulated."""
@@ -354,10 +358,10 @@ class CampaignModel:
                     jobs[keys[-1]] = (simulator, _task(want, disturbed), values)
                 except SimulationError as error:
                     refused[keys[-1]] = error
-        found = {**self._predictor(jobs, self.runner), **refused}
+        simulated = {**self._predictor(jobs, self.runner), **refused}
         results: list[Outcome] = []
         for want, key, disturbed in zip(wanted, keys, around, strict=True):
-            outcome, case = found[key], want.case
+            outcome, case = simulated[key], want.case
             if isinstance(outcome, SimulationError):
                 results.append(outcome)
                 continue
@@ -402,13 +406,13 @@ def _key(want: _Wanted, values: Mapping[str, float], disturbed: Disturbed | None
     """Return the key of a simulation's result; a value equal to the model's own start value is left out."""
     variables, task = want.case.simulator.variables, want.case.task
     settings = task.start_values
-    own = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
+    relevant = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
     changed = {} if disturbed is None else dict(disturbed.inputs)
     if disturbed is not None and disturbed.time is not task.time:
         changed[""] = disturbed.time
     digests = tuple((n, hashlib.blake2b(u.tobytes()).digest()) for n, u in changed.items())
     near = frozenset({} if want.near is None else want.near.items())
-    return want.index, task.tolerance, own, digests, near
+    return want.index, task.tolerance, relevant, digests, near
 
 
 def _task(want: _Wanted, disturbed: Disturbed | None) -> Task:
@@ -480,13 +484,13 @@ def _lined(values: FloatArray, time: FloatArray) -> FloatArray:
 def _changes(values: FloatArray, share: float) -> list[int]:
     """Return the samples that differ by a share of the range from the last such one; where zeros begin and end."""
     width = share * float(np.ptp(values))
-    found, last = [], float(values[0])
+    changes, last = [], float(values[0])
     moves = np.flatnonzero(np.diff(values)) + 1
     for k, value in zip(moves.tolist(), values[moves].tolist(), strict=True):
         if abs(value - last) > width or (value == 0.0) != (last == 0.0):
-            found.append(k)
+            changes.append(k)
             last = value
-    return found
+    return changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -506,12 +510,12 @@ def predicted(model: CampaignModel, points: Sequence[Mapping[str, float]]) -> li
     SimulationError
         A run failed.
     """
-    found: list[Prediction] = []
+    predictions: list[Prediction] = []
     for outcome in model.predict(points):
         if isinstance(outcome, SimulationError):
             raise outcome
-        found.append(outcome)
-    return found
+        predictions.append(outcome)
+    return predictions
 
 
 def linear_at(
@@ -534,11 +538,12 @@ def linear_at(
                 moved.append((k, u, step, {**values, u.name: values[u.name] + step}))
     predictions = predicted(model, [*points, *(there for *_, there in moved)])
     slopes = [
-        {u.name: found[u.name] for u in us if u.name in found} for found, us in zip(exact, unknowns, strict=True)
+        {u.name: tangents[u.name] for u in us if u.name in tangents}
+        for tangents, us in zip(exact, unknowns, strict=True)
     ]
     for (k, u, step, _), there in zip(moved, predictions[len(points) :], strict=True):
         slopes[k][u.name] = tuple((a - b) / step for a, b in zip(there, predictions[k], strict=True))
     return [
-        Linear(values, prediction, found)
-        for values, prediction, found in zip(points, predictions, slopes, strict=False)
+        Linear(values, prediction, tangents)
+        for values, prediction, tangents in zip(points, predictions, slopes, strict=False)
     ]

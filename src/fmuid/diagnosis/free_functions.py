@@ -93,15 +93,15 @@ def pasts(values: Sequence[FloatArray], time: Sequence[FloatArray]) -> Basis:
     size = max(max(float(np.abs(v).max()) for v in values), 1e-300)
     shortest = _FASTEST * min(float(np.mean(np.diff(t))) for t in time)
     longest = max(float(t[-1] - t[0]) for t in time) * _SLOWEST
-    found = []
+    functions = []
     for seconds in np.geomspace(shortest, max(longest, 2.0 * shortest), _PASTS):
         keeps = [float(np.exp(-np.mean(np.diff(t)) / seconds)) for t in time]
         # Settled before the first sample.
         slow = [
             first_order((1.0 - k) * v / size, k, before=v[0] / size) for k, v in zip(keeps, values, strict=True)
         ]
-        found.append(tuple(read_only(s) for s in slow))
-    return tuple(found)
+        functions.append(tuple(read_only(s) for s in slow))
+    return tuple(functions)
 
 
 def quantile_knots(values: Sequence[FloatArray], count: int) -> FloatArray:
@@ -154,13 +154,13 @@ def responses_of(
     """
     if port.input is None:
         families = {**families, **_of_signals(model, base, port)}
-    found = []
+    responses = []
     for over, basis in families.items():
         moved = [m for m in moved_by(model, observed, base, port, basis) if m is not None]
         if len(moved) == len(basis):
             columns = tuple(np.stack(parts, axis=1) for parts in zip(*moved, strict=True))
-            found.append(Response(over, columns))
-    return tuple(found)
+            responses.append(Response(over, columns))
+    return tuple(responses)
 
 
 def _of_signals(model: CampaignModel, base: Refit, port: Port) -> dict[str, Basis]:
@@ -175,8 +175,8 @@ def _of_signals(model: CampaignModel, base: Refit, port: Port) -> dict[str, Basi
     ]
 
     def course(name: str | None) -> list[FloatArray]:
-        own = zip(model.cases, signals, strict=True)
-        return [known.get(name or "", np.zeros(len(case.time))) for case, known in own]
+        with_signals = zip(model.cases, signals, strict=True)
+        return [known.get(name or "", np.zeros(len(case.time))) for case, known in with_signals]
 
     others = []
     for name in sorted({n for known in signals for n in known} - {port.output}):
@@ -225,8 +225,8 @@ def trajectories(
 ) -> dict[str, tuple[FloatArray, ...]]:
     """Return, by regime and for ``time``, (N,) samples of every experiment along the model's own trajectory."""
     names = [r.name for r in regimes.values()]
-    found = model.trajectories(values, [r.variable for r in regimes.values()])
-    paths = {name: tuple(rows[k] for rows in found) for k, name in enumerate(names)}
+    courses = model.trajectories(values, [r.variable for r in regimes.values()])
+    paths = {name: tuple(rows[k] for rows in courses) for k, name in enumerate(names)}
     return {**paths, "time": tuple(case.time for case in model.cases)}
 
 
@@ -257,27 +257,27 @@ def bases(
     over_time = hats(since, np.linspace(0.0, max(float(t[-1]) for t in since), 5))
     speed = next((paths[r.name] for r in regimes.values() if r.kind == "speed"), None)
     direction = None if speed is None else [np.tanh(w / (_REVERSAL * max(np.abs(w).max(), 1e-9))) for w in speed]
-    found: dict[str, Basis] = {}
+    families: dict[str, Basis] = {}
     for regime in regimes.values():
         path = paths[regime.name]
         if regime.ports:
             continue
         if regime.kind == "angle":
-            found[regime.name] = _of_angle(path, regime)
+            families[regime.name] = _of_angle(path, regime)
             if direction is not None:
-                found[f"{regime.name} and direction"] = times(found[regime.name], direction)
+                families[f"{regime.name} and direction"] = times(families[regime.name], direction)
         else:
-            found[regime.name] = hats(path, quantile_knots(path, knots))
-            found[f"{regime.name}, its past"] = pasts(path, time)
+            families[regime.name] = hats(path, quantile_knots(path, knots))
+            families[f"{regime.name}, its past"] = pasts(path, time)
         if regime.kind == "speed":
             rate = [np.gradient(w, t) for w, t in zip(path, time, strict=True)]
-            found[f"{regime.name}, its rate"] = hats(rate, quantile_knots(rate, knots))
+            families[f"{regime.name}, its rate"] = hats(rate, quantile_knots(rate, knots))
             # Knots carry no information at speeds that only one experiment reaches.
-            found[f"{regime.name}, smooth"] = _powers(path)
-    found["time"] = over_time
+            families[f"{regime.name}, smooth"] = _powers(path)
+    families["time"] = over_time
     if direction is not None:
-        found["time and direction"] = times(over_time, direction)
-    return found
+        families["time and direction"] = times(over_time, direction)
+    return families
 
 
 def own_bases(
@@ -288,16 +288,16 @@ def own_bases(
     Each comes by itself and multiplied by the regime over every angle, like the torque of a motor current.
     """
     angles = [r for r in regimes.values() if r.kind == "angle" and not r.ports]
-    found: dict[str, Basis] = {}
+    families: dict[str, Basis] = {}
     for regime in (r for r in regimes.values() if port in r.ports):
         path = paths[regime.name]
         size = max(float(np.abs(p).max()) for p in path) or 1.0
-        found[regime.name] = hats(path, quantile_knots(path, knots))
+        families[regime.name] = hats(path, quantile_knots(path, knots))
         for angle in angles:
-            found[f"{regime.name} and {angle.name}"] = times(
+            families[f"{regime.name} and {angle.name}"] = times(
                 _of_angle(paths[angle.name], angle), [p / size for p in path]
             )
-    return found
+    return families
 
 
 def _of_angle(path: Sequence[FloatArray], regime: Regime) -> Basis:

@@ -62,14 +62,14 @@ class ExcessMap:
         total = float(self.energy.sum())
         if total <= 0.0:
             return ()
-        found = []
+        shares = []
         for row in np.argsort(-self.energy)[:limit]:
             share = float(self.energy[row]) / total
             if share < _SHOWN:
                 break
             experiment, signal = self.rows[row]
-            found.append(Share(experiment, signal, share, self._regime(int(row))))
-        return tuple(found)
+            shares.append(Share(experiment, signal, share, self._regime(int(row))))
+        return tuple(shares)
 
     def _regime(self, row: int) -> tuple[str, float, float] | None:
         best: tuple[float, str, int] | None = None
@@ -159,25 +159,25 @@ class Entry:
         return 1.0 - float(np.sqrt(1.0 - self.explained))
 
 
-def places(found: Mapping[str, Entry]) -> tuple[str, ...]:
+def places(entered: Mapping[str, Entry]) -> tuple[str, ...]:
     """Return the ports at which a course explains what a model leaves, the likeliest first.
 
     Named are those that the data cannot tell from the likeliest one, because the odds against them are short. None
     is named if no course explains anything.
     """
-    order = sorted(found, key=lambda name: -found[name].evidence)
-    if not order or found[order[0]].evidence <= np.log(OPEN):
+    order = sorted(entered, key=lambda name: -entered[name].evidence)
+    if not order or entered[order[0]].evidence <= np.log(OPEN):
         return ()
-    best = found[order[0]]
-    return tuple(name for name in order if not _beaten(found[name].evidence, best))
+    best = entered[order[0]]
+    return tuple(name for name in order if not _beaten(entered[name].evidence, best))
 
 
-def likelier(found: Mapping[str, Entry], nominal: Fitted, named: Fitted) -> bool:
+def likelier(entered: Mapping[str, Entry], nominal: Fitted, named: Fitted) -> bool:
     """Return whether a course at one port explains what `nominal` leaves far better than `named` does.
 
     It has to account for nearly all of it: a course at the place of one cause imitates a part of another one.
     """
-    best = max(found.values(), key=lambda e: e.evidence, default=None)
+    best = max(entered.values(), key=lambda e: e.evidence, default=None)
     if best is None or best.explained < _ALL:
         return False
     return _beaten(log_evidence(nominal, named) - best.step, best)  # both with the nominal parameters fitted
@@ -191,9 +191,9 @@ def _beaten(evidence: float, best: Entry) -> bool:
 def entries(model: CampaignModel, observed: Observed, base: Refit, ports: Sequence[Port]) -> dict[str, Entry]:
     """Return the part of the residuals of `base` that a course over time explains, at every simulated port."""
     coarse, fine = (np.linspace(0.0, 1.0, knots) for knots in _KNOTS)
-    found = with_knots(model, observed, base, ports, coarse)
-    if any(e.explained >= _ENOUGH for e in found.values()):
-        return found
+    entered = with_knots(model, observed, base, ports, coarse)
+    if any(e.explained >= _ENOUGH for e in entered.values()):
+        return entered
     return with_knots(model, observed, base, ports, fine, among=coarse)
 
 
@@ -226,7 +226,7 @@ def with_knots(
     step = float(fitted @ fitted)
     energy = float(sum(r @ r for r in residuals)) - step
     count = sum(len(r) for r in residuals) - basis.shape[1]
-    found = {}
+    entries_of = {}
     for port in ports:
         moved = [m for m in moved_by(model, observed, base, port, courses) if m is not None]
         if len(moved) < knots:
@@ -234,12 +234,14 @@ def with_knots(
         columns = [w * np.stack(m, axis=1) for w, m in zip(weights, zip(*moved, strict=True), strict=True)]
         shared = np.hstack([q.T @ c @ nodal for q, c in zip(parts, columns, strict=True)])
         gram = block_diag(*(nodal.T @ (c.T @ c) @ nodal for c in columns)) - shared.T @ shared
-        own = [nodal.T @ (c.T @ r) for c, r in zip(columns, residuals, strict=True)]
-        slope = np.concatenate(own) - shared.T @ fitted
+        pulls = [nodal.T @ (c.T @ r) for c, r in zip(columns, residuals, strict=True)]
+        slope = np.concatenate(pulls) - shared.T @ fitted
         evidence, explained = max(_evidence(gram, slope, knots, length) for length in _LENGTHS)
         left = max(0.0, (energy - explained) / count - 1.0)
-        found[port.name] = Entry(evidence, 0.5 * step, left, 1.0 - left / max(energy / count - 1.0, left, 1e-12))
-    return found
+        entries_of[port.name] = Entry(
+            evidence, 0.5 * step, left, 1.0 - left / max(energy / count - 1.0, left, 1e-12)
+        )
+    return entries_of
 
 
 def _evidence(gram: FloatArray, slope: FloatArray, knots: int, length: float) -> tuple[float, float]:
@@ -266,24 +268,28 @@ def between_machines(subject: Subject, answer: Fitted) -> BetweenMachines | None
     machines = tuple(dict.fromkeys(case.machine for case in subject.model.cases))
     if len(machines) < 2:
         return None
-    found: dict[str, dict[str, Estimate]] = {}
+    of_parameter: dict[str, dict[str, Estimate]] = {}
     failed: list[str] = []
     beyond: list[tuple[FloatArray, FloatArray]] = []  # remaining squared gaps, and numbers of components averaged
     for machine in machines:
-        own = of_machine(subject, machine)
-        fitted = fit_effects(own, [e for e in own.effects if e.id in answer.effects], [answer.fit.values])
+        alone = of_machine(subject, machine)
+        fitted = fit_effects(alone, [e for e in alone.effects if e.id in answer.effects], [answer.fit.values])
         if fitted is None:
             failed.append(machine)
             continue
-        beyond.append(excesses(fitted.fit.residuals, own.observed))
-        singles = {f"{SEPARATOR}{case.id}" for case in own.model.cases} - {f"{SEPARATOR}{machine}"}
-        for name, estimate in estimates(fitted, own).items():
+        beyond.append(excesses(fitted.fit.residuals, alone.observed))
+        singles = {f"{SEPARATOR}{case.id}" for case in alone.model.cases} - {f"{SEPARATOR}{machine}"}
+        for name, estimate in estimates(fitted, alone).items():
             if not any(name.endswith(single) for single in singles):
-                found.setdefault(without_owner(name), {})[machine] = estimate
-    compared = {name: own for name, own in found.items() if sum(1 for e in own.values() if e.standard_error) > 1}
-    parameters = [_compared(name, own, len(compared)) for name, own in compared.items()]
+                of_parameter.setdefault(without_owner(name), {})[machine] = estimate
+    compared = {
+        name: alone
+        for name, alone in of_parameter.items()
+        if sum(1 for e in alone.values() if e.standard_error) > 1
+    }
+    parameters = [_compared(name, alone, len(compared)) for name, alone in compared.items()]
     parameters.sort(key=lambda p: (not p.differs, p.p_value))
-    left_out = tuple(name for name in found if name not in compared)
+    left_out = tuple(name for name in of_parameter if name not in compared)
     gap = None
     if not failed:
         squares, sizes = (np.concatenate(parts) for parts in zip(*beyond, strict=True))
@@ -303,8 +309,8 @@ def of_machine(subject: Subject, machine: str) -> Subject:
     return replace(subject, model=replace(subject.model, cases=cases), observed=observed, nominal=nominal)
 
 
-def _compared(name: str, own: Mapping[str, Estimate], count: int) -> MachineParameter:
-    known = {machine: e for machine, e in own.items() if e.standard_error}
+def _compared(name: str, of_machine: Mapping[str, Estimate], count: int) -> MachineParameter:
+    known = {machine: e for machine, e in of_machine.items() if e.standard_error}
     errors = [e.standard_error for e in known.values() if e.standard_error]
     spread = machine_spread(name, list(known), [e.value for e in known.values()], errors)
     return MachineParameter(
@@ -314,5 +320,5 @@ def _compared(name: str, own: Mapping[str, Estimate], count: int) -> MachinePara
         spread.mean,
         spread.spread,
         spread.next_machine,
-        own,
+        of_machine,
     )

@@ -69,11 +69,11 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: s
     """
     lines: list[str] = []
     for place in places:
-        found = list(fitting(place))
-        if not found:
+        laws = list(fitting(place))
+        if not laws:
             continue
         lines += _port_lines(place)
-        for name, law in found:
+        for name, law in laws:
             lines += effect_lines(name, law, place)
     for name, parameter in held.items():
         lines += _held_lines(name, parameter)
@@ -166,7 +166,7 @@ def sized(
     """
     duration = max(float(t[-1] - t[0]) for t in time)
     by_name = {port.name: port for port in ports}
-    found = []
+    places_with_sizes = []
     for port in by_name.values():
         seen = [one for t, course in zip(time, courses, strict=True) if (one := _seen_at(port, course, t))]
         if not seen:
@@ -189,8 +189,8 @@ def sized(
             sizes["W"], sizes["N"] = _turns(port, ports, courses)
         own_sizes = {k: v for k, v in sizes.items() if v > 0.0 or k == "Z"}
         if ("P" in own_sizes or "V" in own_sizes) and (port.kind == "signal" or "F" in own_sizes):
-            found.append(Place(port, own_sizes))
-    return found
+            places_with_sizes.append(Place(port, own_sizes))
+    return places_with_sizes
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,10 +213,10 @@ def _seen_at(port: Port, course: Mapping[str, FloatArray], t: FloatArray) -> _Se
         p = here.get("p")
         rate = here.get("rate", None if p is None else np.gradient(p, t))
         return None if rate is None else _Seen(t, p, rate, size)
-    own = [course[n] for n in port.probes["p"] if n in course]
-    if len(own) != len(port.probes["p"]):
+    potentials = [course[n] for n in port.probes["p"] if n in course]
+    if len(potentials) != len(port.probes["p"]):
         return None
-    p = own[1] - own[0] if port.kind == "branch" else own[0]
+    p = potentials[1] - potentials[0] if port.kind == "branch" else potentials[0]
     flow = max((float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course), default=0.0)
     if port.coil and (through := course.get(port.probes["flow"][0])) is not None:
         return _Seen(t, p, np.gradient(through, t), flow)
@@ -236,13 +236,13 @@ def _turns(
     shafts = [p.probes["p"][0] for p in ports if p.connectors and p.kind == "node" and p.domain == "rotational"]
     first = branch.probes["p"][0]
     course = max((c for c in courses if first in c), key=lambda c: float(np.ptp(c[first])))
-    own = course[first] - course[first].mean()
-    energy, ratio = float(own @ own), 1.0
+    course_of_port = course[first] - course[first].mean()
+    energy, ratio = float(course_of_port @ course_of_port), 1.0
     for other in (course[s] - course[s].mean() for s in shafts if s in course):
-        together = abs(float(own @ other))
+        together = abs(float(course_of_port @ other))
         if together**2 > _TOGETHER * energy * float(other @ other) > 0.0:
             ratio = max(ratio, together / energy)
-    return float(np.ptp(own)), ratio
+    return float(np.ptp(course_of_port)), ratio
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,16 +429,16 @@ def _at_ports(flat: FlatModel, simulated: CampaignModel, values: Mapping[str, fl
 def _at_states(fmu: Fmu, simulated: CampaignModel, values: Mapping[str, float]) -> list[Place]:
     """Return the places at the states of an FMU without source, sized by its runs with some parameter values."""
     wanted = [name for name in observed_states(fmu) if name in simulated.cases[0].simulator.variables]
-    found, _ = state_places(fmu, *_courses(simulated, values, wanted))
-    return [Place(p.port, p.sizes, p.names, state_of(p.port.name, fmu.states) or "") for p in found]
+    at_states, _ = state_places(fmu, *_courses(simulated, values, wanted))
+    return [Place(p.port, p.sizes, p.names, state_of(p.port.name, fmu.states) or "") for p in at_states]
 
 
 def _courses(
     simulated: CampaignModel, values: Mapping[str, float], wanted: Sequence[str]
 ) -> tuple[list[FloatArray], list[dict[str, FloatArray]]]:
     """Return times and courses of variables in each run, with some parameter values."""
-    found = simulated.trajectories(values, wanted)
-    return [c.time for c in simulated.cases], [dict(zip(wanted, rows, strict=True)) for rows in found]
+    trajectories = simulated.trajectories(values, wanted)
+    return [c.time for c in simulated.cases], [dict(zip(wanted, rows, strict=True)) for rows in trajectories]
 
 
 def _bounds(model: CampaignModel, spec: ParameterSpec) -> tuple[float, float] | None:
@@ -456,29 +456,29 @@ def _merged(parts: Sequence[Place]) -> list[Place]:
 
     Where all setups only pass an input on, its laws are those of the input.
     """
-    found: dict[str, Place] = {}
+    merged: dict[str, Place] = {}
     inside = {place.port.name for place in parts if not place.port.passed}
     for place in (place for place in parts if place.port.name in inside):
-        same = found.get(place.port.name, place)
+        same = merged.get(place.port.name, place)
         largest = {k: max(v, place.sizes.get(k, v)) for k, v in same.sizes.items()}
         sizes = {**place.sizes, **largest} | ({"Z": same.sizes["Z"]} if "Z" in same.sizes else {})
         if place.sizes.get("W", 0.0) < sizes.get("W", 0.0):  # a ratio is most precise where most turns
             sizes["N"] = same.sizes["N"]
         elif "N" in place.sizes:
             sizes["N"] = place.sizes["N"]
-        found[place.port.name] = Place(same.port, sizes, same.names, same.owner)
-    return list(found.values())
+        merged[place.port.name] = Place(same.port, sizes, same.names, same.owner)
+    return list(merged.values())
 
 
 def _held_value(name: str, model: CampaignModel, fixed: Mapping[str, float]) -> float | None:
     """Return the value that every run has for a parameter of the model; None if they differ."""
-    found = set()
+    values = set()
     for case in model.cases:
         variable = case.simulator.variables.get(name)
         start = case.task.start_values.get(name, variable.start if variable is not None else None)
         given = model.start_values(case, fixed).get(name, start)
-        found.add(given)
-    (value,) = found if len(found) == 1 else (None,)
+        values.add(given)
+    (value,) = values if len(values) == 1 else (None,)
     return None if value is None else float(value)
 
 
@@ -486,5 +486,5 @@ def possible_laws(flat: FlatModel) -> dict[str, list[str]]:
     """Return the names of the laws that may act at each port of a model, whatever its sizes."""
     sizes = dict.fromkeys(SIZES, 1.0)
     ports = (port for port in find_ports(flat) if not port.passed)
-    found = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in ports}
-    return {name: names for name, names in found.items() if names}
+    laws_at = {port.name: [name for name, _ in fitting(Place(port, sizes))] for port in ports}
+    return {name: names for name, names in laws_at.items() if names}

@@ -101,15 +101,15 @@ def separations(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
     -------
     (R, R): preference for the first rival, if it is right, over the second.
     """
-    found = np.zeros((len(rivals), len(rivals)))
+    separation = np.zeros((len(rivals), len(rivals)))
     least = apart.min(axis=1)
     for (a, right), (b, wrong) in permutations(enumerate(rivals), 2):
         so_far, distance = _so_far(right, wrong)
         distance = float(np.hypot(distance, least[a, b]))
         if distance > 0.0:
             gained = so_far + least[a, b] ** 2 - 2.0 * _NINE_OF_TEN * least[a, b]
-            found[a, b] = max(0.0, gained / (2.0 * distance * _wider(right, wrong)))
-    return found
+            separation[a, b] = max(0.0, gained / (2.0 * distance * _wider(right, wrong)))
+    return separation
 
 
 def chances(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
@@ -123,7 +123,7 @@ def chances(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
     apart
         (R, draws, R) distances in the new run.
     """
-    found = np.ones(len(rivals))
+    chance = np.ones(len(rivals))
     for (a, right), (b, wrong) in permutations(enumerate(rivals), 2):
         so_far, distance = _so_far(right, wrong)
         new = apart[a, :, b]
@@ -133,8 +133,8 @@ def chances(apart: FloatArray, rivals: Sequence[Rival]) -> FloatArray:
         needed = least * np.maximum(least, np.hypot(distance, new)) if least else np.full(len(new), -np.inf)
         with np.errstate(divide="ignore"):
             sure = ndtr((so_far + new**2 - needed) / (2.0 * new))
-        found[a] = min(found[a], float(np.mean(sure)))
-    return found
+        chance[a] = min(chance[a], float(np.mean(sure)))
+    return chance
 
 
 def _so_far(right: Rival, wrong: Rival) -> tuple[float, float]:
@@ -173,7 +173,7 @@ def distance_matrix(
     linear: Sequence[Linear], drawn: Sequence[Prediction], rivals: Sequence[Rival], whiten: Whiten
 ) -> FloatArray:
     """Return the (R, draws, R) distances computed from simulations; see `distances`."""
-    found = np.zeros((len(rivals), len(rivals[0].draws), len(rivals)))
+    distances = np.zeros((len(rivals), len(rivals[0].draws), len(rivals)))
     of = [k for k, rival in enumerate(rivals) for _ in rival.draws]
     for b, (wrong, here) in enumerate(zip(rivals, linear, strict=True)):
         differences = np.stack(
@@ -192,8 +192,8 @@ def distance_matrix(
         basis, _ = np.linalg.qr(bent / np.where(size > 0.0, size, 1.0))
         whole = np.vstack([differences, np.zeros((len(bent) - len(differences), differences.shape[1]))])
         left = np.linalg.norm(whole - basis @ (basis.T @ whole), axis=0)
-        found[np.arange(len(rivals)) != b, :, b] = left.reshape(len(rivals) - 1, -1)
-    return found
+        distances[np.arange(len(rivals)) != b, :, b] = left.reshape(len(rivals) - 1, -1)
+    return distances
 
 
 def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
@@ -254,8 +254,8 @@ def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = 
 def _new(apart: FloatArray, rivals: Sequence[Rival]) -> float:
     """Return the smaller separation of two rivals; 0 if a further run adds only chance."""
     distinct = min(apart[0, :, 1].min(), apart[1, :, 0].min()) > 2.0 * _NINE_OF_TEN
-    found = separations(apart, rivals)
-    return float(min(found[0, 1], found[1, 0])) if distinct else 0.0
+    separated = separations(apart, rivals)
+    return float(min(separated[0, 1], separated[1, 0])) if distinct else 0.0
 
 
 def _is_new(case: Case, variable: str) -> bool:

@@ -100,10 +100,10 @@ class Observed:
         """
         noise = dict(self.noise)
         for setup, plain in self.noise.items():
-            own = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
-            counts = np.sum([r.mask.sum(axis=1) for _, r in own], axis=0)
+            of_setup = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
+            counts = np.sum([r.mask.sum(axis=1) for _, r in of_setup], axis=0)
             error = np.zeros(len(plain.channels))
-            for prediction, run in own:
+            for prediction, run in of_setup:
                 left = (prediction - run.mean) * run.mask
                 mean = left.sum(axis=1) / np.maximum(run.mask.sum(axis=1), 1.0)
                 beyond = np.sum(((left - mean[:, None]) * run.mask) ** 2, axis=1)
@@ -188,8 +188,8 @@ class Observed:
     @cached_property
     def scatter(self) -> tuple[FloatArray, ...]:
         """(R, M) whitened deviations of each experiment's repeats from their mean."""
-        own = zip(self.runs, self.whiteners, strict=True)
-        return tuple(w(run.deviations).reshape(run.n_repeats, -1) for run, w in own)
+        whitened_runs = zip(self.runs, self.whiteners, strict=True)
+        return tuple(w(run.deviations).reshape(run.n_repeats, -1) for run, w in whitened_runs)
 
     def residuals(self, predictions: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return prediction minus the mean of the repeats, whitened: one (C * N,) vector per experiment."""

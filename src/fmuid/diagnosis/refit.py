@@ -120,26 +120,26 @@ def refit(
     """
     campaign = _Campaign(predict, observed, tuple(unknowns), tangents)
     points = [campaign.point(start) for start in starts]
-    found: list[_End] = []
+    ends: list[_End] = []
     for x, outcome in zip(points, campaign.evaluate(points), strict=True):
         if isinstance(outcome, SimulationError):
             failure = outcome
         else:
             campaign.known[x.tobytes()] = outcome
-            found.append(_search(campaign, x, max_iterations, tolerance))
-    if not found:
+            ends.append(_search(campaign, x, max_iterations, tolerance))
+    if not ends:
         raise failure
-    found.sort(key=lambda end: end[0])
-    least = found[0][0]
+    ends.sort(key=lambda end: end[0])
+    least = ends[0][0]
 
     def promising(end: _End) -> bool:
         fall = campaign.promised(end[1]) if len(unknowns) else 0.0
         return fall > max(_ENOUGH, tolerance * end[0]) and end[0] - fall < least
 
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
-        for end in campaign.apart([end for end in found if end[0] <= about(least)]):
-            found += [_search(campaign, end[1], max_iterations, tolerance, "near")] if promising(end) else []
-    end = min(found, key=lambda end: end[0])
+        for end in campaign.apart([end for end in ends if end[0] <= about(least)]):
+            ends += [_search(campaign, end[1], max_iterations, tolerance, "near")] if promising(end) else []
+    end = min(ends, key=lambda end: end[0])
     if promising(end):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")
         end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])
@@ -235,12 +235,12 @@ def _with_squares(parts: tuple[FloatArray, ...]) -> tuple[FloatArray, ...] | Sim
 
 def _all_simulated(outcomes: Iterable[tuple[FloatArray, ...] | SimulationError]) -> list[tuple[FloatArray, ...]]:
     """Return the outcomes, or raise the first failure."""
-    found = []
+    simulated = []
     for outcome in outcomes:
         if isinstance(outcome, SimulationError):
             raise outcome
-        found.append(outcome)
-    return found
+        simulated.append(outcome)
+    return simulated
 
 
 class _ExhaustedError(Exception):
@@ -310,11 +310,11 @@ class _Campaign:
 
     def apart(self, ends: Sequence[_End]) -> list[_End]:
         """Return the ends that differ from every earlier one by more than a plausible step of some parameter."""
-        found: list[_End] = []
+        distinct: list[_End] = []
         for end in ends:
-            if all(np.any(np.abs(end[1] - other[1]) > self.steps) for other in found):
-                found.append(end)
-        return found
+            if all(np.any(np.abs(end[1] - other[1]) > self.steps) for other in distinct):
+                distinct.append(end)
+        return distinct
 
     def promised(self, x: FloatArray) -> float:
         """Return the fall of the cost that the slopes of a plausible step promise, within bounds."""
@@ -326,8 +326,8 @@ class _Campaign:
         free = room[0] < room[1]
         r = self.vector(x)
         with np.errstate(over="ignore", invalid="ignore"):  # the model may grow without limit
-            found = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
-        return float(r @ r) - 2.0 * float(found.cost)
+            bounded = lsq_linear(slopes[:, free], -r, bounds=room[:, free])
+        return float(r @ r) - 2.0 * float(bounded.cost)
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
         """Return d residual / d unknown, (M_e, P) per experiment; differences where it cannot be exact."""
@@ -345,8 +345,8 @@ class _Campaign:
         away = np.diag(np.where(up, self.steps, -self.steps))[left]
         if wide:
             points = [self.clipped(x + sign * wide * step) for sign in (1.0, -1.0) for step in away]
-            found = list(zip(points, self._simulated(points, x), strict=True))
-            ends, begins = found[: len(left)], found[len(left) :]
+            evaluated = list(zip(points, self._simulated(points, x), strict=True))
+            ends, begins = evaluated[: len(left)], evaluated[len(left) :]
         else:
             ends, begins = self._beside(x, away), [(x, base)] * len(left)
         for k, (end, p), (begin, q) in zip(left, ends, begins, strict=True):
@@ -361,34 +361,36 @@ class _Campaign:
     def _beside(self, x: FloatArray, steps: FloatArray) -> list[tuple[FloatArray, tuple[FloatArray, ...]]]:
         """Return the point after each step, with its residuals; on the other side of `x` where it has none."""
         points = [self.clipped(x + step) for step in steps]
-        found = self.evaluate(points, x)
-        failed = [n for n, outcome in enumerate(found) if isinstance(outcome, SimulationError)]
+        outcomes = self.evaluate(points, x)
+        failed = [n for n, outcome in enumerate(outcomes) if isinstance(outcome, SimulationError)]
         others = [self.clipped(x - steps[n]) for n in failed]
         for n, other, outcome in zip(failed, others, self.evaluate(others, x) if others else (), strict=True):
             if np.array_equal(other, x) or isinstance(outcome, SimulationError):
                 continue
-            points[n], found[n] = other, outcome
-        return list(zip(points, _all_simulated(found), strict=True))
+            points[n], outcomes[n] = other, outcome
+        return list(zip(points, _all_simulated(outcomes), strict=True))
 
     def _exactly(self, x: FloatArray) -> dict[int, tuple[FloatArray, ...]]:
         inside = [k for k in range(len(x)) if self.lower[k] + self.steps[k] < x[k] < self.upper[k] - self.steps[k]]
         if self._tangents is None or len(inside) < _WORTH:
             return {}
-        found = self._tangents(self.values(x), [self._names[k] for k in inside])
+        tangents = self._tangents(self.values(x), [self._names[k] for k in inside])
         self.evaluations += 1
-        columns = {k: self._observed.whiten(found[self._names[k]]) for k in inside if self._names[k] in found}
+        columns = {
+            k: self._observed.whiten(tangents[self._names[k]]) for k in inside if self._names[k] in tangents
+        }
         # A parameter without any local response may still have one after a step, as a backlash that is not
         # reached.
         return {k: parts for k, parts in columns.items() if any(np.any(p) for p in parts)}
 
 
 def _remembered(
-    known: OrderedDict[bytes, tuple[FloatArray, ...]], x: FloatArray, found: Callable[[], tuple[FloatArray, ...]]
+    known: OrderedDict[bytes, tuple[FloatArray, ...]], x: FloatArray, compute: Callable[[], tuple[FloatArray, ...]]
 ) -> tuple[FloatArray, ...]:
     """Return the known entry of a point, or a newly computed one; the last two points are remembered."""
     key = x.tobytes()
     if key not in known:
-        known[key] = found()
+        known[key] = compute()
         while len(known) > 2:
             known.popitem(last=False)
     known.move_to_end(key)

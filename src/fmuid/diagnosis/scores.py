@@ -84,14 +84,14 @@ def score_effects(
     """Score every effect at the refitted model `base`, best first, without trials that fail to simulate."""
     trials = [(effect, trial) for effect in effects for trial in effect.trials]
     plain = list(score_trials(predict, observed, base, trials))
-    found = _matched(predict, observed, base, trials, plain)
-    own = {e.id: [s for s in found if s is not None and s.effect == e.id] for e in effects}
+    scored = _matched(predict, observed, base, trials, plain)
+    of_effect = {e.id: [s for s in scored if s is not None and s.effect == e.id] for e in effects}
     largest = {s.effect: s for s in sorted((s for s in plain if s is not None), key=lambda s: s.length)}
     best = [
         replace(max(scores, key=lambda s: s.drop), trials=tuple(s.trial for s in scores), largest=largest[name])
         if scores
         else Score(name, {}, 0.0, 0.0, 0.0, None)
-        for name, scores in own.items()
+        for name, scores in of_effect.items()
     ]
     return tuple(sorted(best, key=lambda s: -s.drop))
 
@@ -109,15 +109,15 @@ def _matched(
     from where its response is linear in the effect.
     """
     target = float(np.linalg.norm(stack(base.residuals, observed)))
-    found = list(plain)
+    matched = list(plain)
     for _ in range(_SCALED):
-        large = {k: s for k, s in enumerate(found) if s is not None and s.length > _OVERSHOOT * target}
+        large = {k: s for k, s in enumerate(matched) if s is not None and s.length > _OVERSHOOT * target}
         if not large:
             break
         smaller = [(trials[k][0], trials[k][0].scaled(s.trial, target / s.length)) for k, s in large.items()]
         for k, score in zip(large, score_trials(predict, observed, base, smaller), strict=True):
-            found[k] = score
-    return found
+            matched[k] = score
+    return matched
 
 
 def score_trials(
@@ -258,7 +258,7 @@ def smallest_seen(
         return by_id[name].scaled(largest[name].trial, size, clipped=False)
 
     for _ in range(_ROUNDS if simulated else 0):
-        sizes = {name: _next(own, wanted, most[name]) for name, own in known.items()}
+        sizes = {name: _next(sizes_of, wanted, most[name]) for name, sizes_of in known.items()}
         tried = [(name, size) for name, size in sizes.items() if size is not None]
         if not tried:
             break
@@ -266,12 +266,12 @@ def smallest_seen(
         for (name, size), score in zip(tried, score_trials(predict, observed, base, trials), strict=True):
             known[name][size] = np.inf if score is None else score.length  # a failure does not go unnoticed
     if simulated:
-        found = {name: _bracket(own, wanted)[1] for name, own in known.items()}
+        smallest = {name: _bracket(sizes_of, wanted)[1] for name, sizes_of in known.items()}
     else:
-        found = {name: wanted / max(score.length, 1e-300) for name, score in largest.items()}
+        smallest = {name: wanted / max(score.length, 1e-300) for name, score in largest.items()}
     return {
         name: {parameter: values(name, size)[parameter] for parameter in largest[name].trial}
-        for name, size in found.items()
+        for name, size in smallest.items()
         if size <= most[name]
     }
 

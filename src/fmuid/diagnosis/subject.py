@@ -119,29 +119,29 @@ def with_states(observed: Observed, model: CampaignModel, values: Mapping[str, f
 
 def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[str, ...]:
     """Return notes on how each setup is predicted; `stages` are the ones whose segments or observer count."""
-    found = []
+    findings = []
     for setup in dict.fromkeys(case.setup for case in model.cases):
-        own = [c.simulator for c in model.cases if c.setup == setup]
-        cut = [simulator for simulator in own if isinstance(simulator, Segmented)]
+        simulators = [c.simulator for c in model.cases if c.setup == setup]
+        cut = [simulator for simulator in simulators if isinstance(simulator, Segmented)]
         stage = stages.get(setup)
-        if stage is not None and not cut and (why := why_whole(stage, own[0])):
-            found.append(
+        if stage is not None and not cut and (why := why_whole(stage, simulators[0])):
+            findings.append(
                 f"Runs of setup '{setup}' are predicted whole, not as stage '{stage.name}' does: with effects, "
                 f"{why}. This diagnosis says little about an unstable plant."
             )
         if cut and all(s.length == math.inf for s in cut):
-            found.append(
+            findings.append(
                 f"Runs of setup '{setup}' start from values of {', '.join(cut[0].states)} that are fitted to"
                 " each run, not from the model's start values."
             )
         elif cut:
             segments, states = sum(s.segments for s in cut), sum(s.nuisances for s in cut)
             why = f"; stage '{stage.name}' has an observer instead" if stage is not None and stage.observer else ""
-            found.append(
+            findings.append(
                 f"Runs of setup '{setup}' are predicted in {segments} segments, whose {states} initial states are "
                 f"fitted as well{why}."
             )
-    return tuple(found)
+    return tuple(findings)
 
 
 _STEP = 0.02  # of a nominal parameter relative to its start value: large compared with the noise of solvers
@@ -243,9 +243,9 @@ def subject_of(
         )
     model, findings = solved_well_enough(model, campaign, begin, reference)
     used = {id for case in model.cases for id in case.experiments}
-    found = [o for o in campaign.outliers if o.experiment in used]
-    findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in found)
-    outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in found)
+    outliers_used = [o for o in campaign.outliers if o.experiment in used]
+    findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in outliers_used)
+    outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in outliers_used)
     models = [campaign.models[setup] for setup in {case.setup for case in model.cases}]
     findings += tuple(
         f"Not looked for, because the model cannot be built with it: {', '.join(ids)} ({why})."
@@ -279,9 +279,9 @@ def solved_well_enough(
     accuracy = _accuracy(model, values)
     cases: Sequence[Case] = model.cases
     if accuracy.until:
-        own = {c.id: [campaign.measurements[id] for id in c.experiments] for c in cases}
+        recorded = {c.id: [campaign.measurements[id] for id in c.experiments] for c in cases}
         cut = {
-            c.id: from_campaign(campaign, own[c.id], (), {c.setup: c.simulator}, until=accuracy.until)
+            c.id: from_campaign(campaign, recorded[c.id], (), {c.setup: c.simulator}, until=accuracy.until)
             for c in cases
             if c.id in accuracy.until
         }
@@ -300,17 +300,19 @@ def tightened(subject: Subject, points: Sequence[Mapping[str, float]]) -> Subjec
     model, always = subject.model, {u.name for u in subject.nominal}
     every = [(k, case, values) for values in points for k, case in enumerate(model.cases_at(values))]
     sigma = _sigma(model)
-    found = accuracy(
+    result = accuracy(
         [replace(case, id=f"{n}") for n, (_, case, _) in enumerate(every)],
         lambda wanted: model.predict_cases([(every[n][0], task, every[n][2]) for n, task in wanted]),
         sigma=[sigma[k] for k, _, _ in every],
     )
     needed: dict[frozenset[str], dict[str, float]] = {}
     for n, (_, case, values) in enumerate(every):
-        own = found.tolerances.get(f"{n}", np.inf)
-        if f"{n}" not in found.until and own < (case.task.tolerance or case.simulator.default_tolerance or 0.0):
+        tolerance = result.tolerances.get(f"{n}", np.inf)
+        if f"{n}" not in result.until and tolerance < (
+            case.task.tolerance or case.simulator.default_tolerance or 0.0
+        ):
             of = needed.setdefault(frozenset(values.keys() - always), {})
-            of[case.id] = min(of.get(case.id, np.inf), own)
+            of[case.id] = min(of.get(case.id, np.inf), tolerance)
     if not needed:
         return subject
     plain = SolverAccuracy(needed.pop(frozenset(), {}))
@@ -369,8 +371,8 @@ def model_of(
                 modelled[effect.id] = f"{name} = {value:.6g}"
         if effect.id not in modelled:
             # Its own values act from here on, whatever name and unit the campaign gives them.
-            own = {u.name for u in effect.unknowns}
-            cases = tuple(_without(case, own) for case in cases)
+            modelled_names = {u.name for u in effect.unknowns}
+            cases = tuple(_without(case, modelled_names) for case in cases)
             fixed = {n: effect.neutral.get(without_owner(n), v) for n, v in fixed.items()}
     variants = Variants({s: m for s, m in models.items() if m.source is not None}, catalogue, load)
     return CampaignModel(cases, runner, fixed, tie, variants.simulator), catalogue, known, modelled
@@ -388,10 +390,12 @@ def _held(case: Case, unknown: str, fixed: Mapping[str, float]) -> list[float]:
     """Return the values that a campaign gives an effect's parameter in a case, in the model's unit, if any."""
     if unknown in case.task.start_values:
         return [case.task.start_values[unknown]]
-    own = case.values(fixed)
-    given = [to.factor * own[n] + to.offset for n, (variable, to) in case.setting.items() if variable == unknown]
-    of_a_signal = unknown in own and unknown not in case.simulator.variables
-    return [own[unknown]] if of_a_signal else given
+    values = case.values(fixed)
+    given = [
+        to.factor * values[n] + to.offset for n, (variable, to) in case.setting.items() if variable == unknown
+    ]
+    of_a_signal = unknown in values and unknown not in case.simulator.variables
+    return [values[unknown]] if of_a_signal else given
 
 
 def _without(case: Case, variables: Collection[str]) -> Case:
@@ -421,7 +425,7 @@ def expand_slice(target: str, known: Sequence[str] | set[str]) -> list[str]:
     """
     if target in known:
         return [target]
-    found = []
+    names = []
     match = _SLICE.match(target)
     if match:
         wanted = [_range(part) for part in match["index"].split(",")]
@@ -431,10 +435,10 @@ def expand_slice(target: str, known: Sequence[str] | set[str]) -> list[str]:
                 continue
             index = [int(i) for i in other["index"].split(",")]
             if len(index) == len(wanted) and all(a <= i <= b for i, (a, b) in zip(index, wanted, strict=True)):
-                found.append(name)
-    if not found:
+                names.append(name)
+    if not names:
         raise FmuError(f"no FMU has '{target}'", where="[effects] tie", fix=suggestion(target, known))
-    return sorted(found)
+    return sorted(names)
 
 
 def _range(part: str) -> tuple[float, float]:
@@ -463,8 +467,8 @@ def _nominal(campaign: Campaign, spec: EffectsSpec, cases: Sequence[Case]) -> tu
     helpers = {n for text in spec.tie.values() for n in parse(text).names}
     unknowns: list[Unknown] = []
     for name in spec.nominal:
-        own = [case for case in cases if name in helpers or name in case.setting or name in _of_sensors(case)]
-        if not own:
+        affected = [case for case in cases if name in helpers or name in case.setting or name in _of_sensors(case)]
+        if not affected:
             raise CampaignError(
                 f"nominal parameter '{name}' affects no model",
                 where="[effects]",
@@ -473,8 +477,8 @@ def _nominal(campaign: Campaign, spec: EffectsSpec, cases: Sequence[Case]) -> tu
         parameter = campaign.parameters[name]
         owners: dict[str, list[str]] = {
             "campaign": [],
-            "machine": [c.machine for c in own],
-            "experiment": [c.id for c in own],
+            "machine": [c.machine for c in affected],
+            "experiment": [c.id for c in affected],
         }
         unknowns += map(unknown_of, parameter.of_each(owners[parameter.per]) or [parameter])
     return tuple(unknowns)

@@ -42,12 +42,12 @@ def indistinct(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return a line for each reason why effects would not be separated, or not be seen."""
     alike = [_some(names, " or ") for names in diagnosis["alias_classes"] if len(names) > 1]
     hidden = diagnosis.get("hidden") or {}
-    found = {
+    groups = {
         "These runs and sensors cannot tell apart": "; ".join(alike),
         "No sensor would show": _some(hidden.get("unseen", ()), ", "),
         "The fitted parameters would hide": _some(hidden.get("imitated", ()), ", "),
     }
-    return [f"{what}: {names}" for what, names in found.items() if names]
+    return [f"{what}: {names}" for what, names in groups.items() if names]
 
 
 def machine_lines(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -86,44 +86,44 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return verdict, place and size of the gap: what a reader needs within a minute."""
     gap, verdict = diagnosis["gap"], diagnosis["verdict"]
     sure = verdict["kind"] in ("complete", "effect") and probability(diagnosis) > 0.5
-    found = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
+    lines = [Fact("Verdict", verdict_text(diagnosis), "good" if sure else "warn")]
     meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
     described = [n for n in named(verdict) if meant.get(n)]
     if described:
         names = [f"{in_words(n)}: " if len(described) > 1 else "" for n in described]
-        found.append(
+        lines.append(
             Fact("In words", "; ".join(n + _lowered(meant[i], i) for n, i in zip(names, described, strict=True)))
         )
     where = sorted(diagnosis["where"], key=lambda w: -w["share"])
     if where and gap["present"]:
         top = where[0]
         place = f"{top['experiment']}, {top['signal']}, {regime_text(top)}"
-        found.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
+        lines.append(Fact("Where most of it lies", f"{place} ({100 * top['share']:.0f} %)"))
     p_value = "p < 0.001" if gap["p_value"] < 1e-3 else f"p = {gap['p_value']:.2g}"
-    found.append(Fact("Is there a gap", f"{_gap_text(gap)} ({p_value})"))
+    lines.append(Fact("Is there a gap", f"{_gap_text(gap)} ({p_value})"))
     corrected = f" → {gap['corrected']:.3g} corrected" if named(verdict) or diagnosis.get("refinements") else ""
     sizes = f"{gap['nominal']:.3g} → {gap['nominal_refit']:.3g} refitted{corrected}"
-    found.append(Fact("Gap, in noise floors", sizes))
+    lines.append(Fact("Gap, in noise floors", sizes))
     for answer in diagnosis["answers"] if named(verdict) else ():
         if answer.get("closure"):
             effects = " + ".join(answer["effects"])
-            found.append(Fact(f"Closed on held-out data by {effects}", closure_text(answer["closure"])))
+            lines.append(Fact(f"Closed on held-out data by {effects}", closure_text(answer["closure"])))
     if verdict.get("rest"):
-        found.append(Fact("What is left", _rest_text(verdict["rest"])))
+        lines.append(Fact("What is left", _rest_text(verdict["rest"])))
     if verdict.get("stable") is False:
-        found.append(
+        lines.append(
             Fact("Stable", "no: without one of the experiments, another answer would be preferred", "warn")
         )
-    found += _errors(diagnosis.get("tolerated") or ())
+    lines += _errors(diagnosis.get("tolerated") or ())
     if verdict["kind"] in ("unknown", "insufficient", "complete") and gap["present"]:
-        found += _closest(diagnosis)
-    found += _law_found(diagnosis)
-    found += _tables(diagnosis)
+        lines += _closest(diagnosis)
+    lines += _law_found(diagnosis)
+    lines += _tables(diagnosis)
     if verdict.get("provisional"):
-        found.append(Fact("How sure", _provisional(diagnosis), "warn"))
+        lines.append(Fact("How sure", _provisional(diagnosis), "warn"))
     if verdict["kind"] == "insufficient":
-        found.append(Fact("What to do", _more_data(diagnosis)))
-    return tuple(found)
+        lines.append(Fact("What to do", _more_data(diagnosis)))
+    return tuple(lines)
 
 
 def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -285,7 +285,7 @@ def _law_found(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
 def _tables(diagnosis: Mapping[str, Any]) -> list[Fact]:
     """Return the tables of the best explanation, and what it closes with them."""
     tables = diagnosis.get("refinements") or ()
-    found = []
+    lines = []
     for table in tables:
         sizes = np.abs(np.array(table["table"]["values"]))
         reached = " and ".join(
@@ -294,10 +294,10 @@ def _tables(diagnosis: Mapping[str, Any]) -> list[Fact]:
         )
         label = "Learned table" if table["learned"] else f"Table that refines {in_words(table['law'])}"
         most = f"{sizes.max():.3g} {table['table']['unit']}"
-        found.append(Fact(label, f"{sizes.size} values up to {most} at {table['port']}, for {reached}"))
+        lines.append(Fact(label, f"{sizes.size} values up to {most} at {table['port']}, for {reached}"))
     if tables:
-        found.append(Fact("Closed on held-out data with the table", closure_text(diagnosis["best"]["closure"])))
-    return found
+        lines.append(Fact("Closed on held-out data with the table", closure_text(diagnosis["best"]["closure"])))
+    return lines
 
 
 def _beside(law: Mapping[str, Any]) -> str:
@@ -306,23 +306,23 @@ def _beside(law: Mapping[str, Any]) -> str:
 
 def _closest(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
     """Return the closest explanation if none is named."""
-    best, found = diagnosis.get("best"), []
+    best, parts = diagnosis.get("best"), []
     if diagnosis.get("refinements"):
         closing = [e | {"effects": [e["id"]]} for e in diagnosis["effects"] if e.get("closure")]
         closing += [a for a in diagnosis["answers"] if a.get("closure")]
         best = max(closing, key=lambda e: float(e["closure"]["held_out"]), default=None)
     if best is None or best["closure"]["held_out"] <= 0.0:
-        found.append("nothing in the catalogue closes a part of it on left-out data")
+        parts.append("nothing in the catalogue closes a part of it on left-out data")
     else:
         too_little = best["closure"]["held_out"] < CLOSURE_THAT_NAMES
         least = f", too little to be named (it takes {CLOSURE_THAT_NAMES:g})" if too_little else ""
         names = " + ".join(best["effects"])
-        found.append(f"{names} closes {closure_text(best['closure'])} on held-out data{least}")
+        parts.append(f"{names} closes {closure_text(best['closure'])} on held-out data{least}")
     ports = diagnosis.get("port_closures") or {}
     if ports:
         port = max(ports, key=lambda name: ports[name])
-        found.append(f"an arbitrary course over time at {port} {ports[port]:.2f}")
-    return (Fact("What comes closest", "; ".join(found)),) if found else ()
+        parts.append(f"an arbitrary course over time at {port} {ports[port]:.2f}")
+    return (Fact("What comes closest", "; ".join(parts)),) if parts else ()
 
 
 def verdict_text(diagnosis: Mapping[str, Any]) -> str:
@@ -378,8 +378,8 @@ def _lowered(sentence: str, effect: str) -> str:
     or digit inside.
     """
     first = sentence.partition(" ")[0].strip("',.")
-    own = {*re.split(r"[@.]", effect), effect.partition("@")[2]}
-    named_ = first.endswith(":") or first in own or (first != "A" and not first[1:].islower())
+    words = {*re.split(r"[@.]", effect), effect.partition("@")[2]}
+    named_ = first.endswith(":") or first in words or (first != "A" and not first[1:].islower())
     return sentence if named_ else sentence[:1].lower() + sentence[1:]
 
 
@@ -389,8 +389,8 @@ def likeliest(diagnosis: Mapping[str, Any]) -> list[list[str]]:
     by_id = {e["id"]: e for e in diagnosis["effects"]}
     rows, shown = [], set()
     for answer in diagnosis["answers"]:
-        own = [by_id[n] for n in answer["effects"] if n in by_id]
-        parameters = {name: p for e in own for name, p in e.get("parameters", {}).items()}
+        effects = [by_id[n] for n in answer["effects"] if n in by_id]
+        parameters = {name: p for e in effects for name, p in e.get("parameters", {}).items()}
         rows.append(_row(" + ".join(answer["effects"]), answer, parameters))
         shown |= set(answer["effects"])
     others = [e for e in ranked(diagnosis["effects"]) if e["id"] not in shown and e.get("closure")]
@@ -418,7 +418,9 @@ def regime_text(place: Mapping[str, Any]) -> str:
 
 
 def _smallest(seen: Mapping[str, Mapping[str, float]]) -> str:
-    return _some([f"{e} ({', '.join(f'{n} = {v:.4g}' for n, v in own.items())})" for e, own in seen.items()], "; ")
+    return _some(
+        [f"{e} ({', '.join(f'{n} = {v:.4g}' for n, v in sizes.items())})" for e, sizes in seen.items()], "; "
+    )
 
 
 def _some(names: Sequence[str], between: str) -> str:

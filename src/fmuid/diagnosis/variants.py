@@ -157,12 +157,12 @@ def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[s
     lacking = [e for e in catalogue.effects.values() if e.expression and variables.isdisjoint(e.neutral)]
     flat = [flat_model(model.source) for model in models if lacking and model.source is not None]
     ports = [places(one) for one in flat]
-    found: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
     for effect in lacking:
-        having = [one for one, own in zip(flat, ports, strict=True) if effect.port in own]
+        having = [one for one, names in zip(flat, ports, strict=True) if effect.port in names]
         if having:
-            found.setdefault(_why_not(effect, having), []).append(effect.id)
-    return found
+            reasons.setdefault(_why_not(effect, having), []).append(effect.id)
+    return reasons
 
 
 def _why_not(effect: Effect, models: Iterable[FlatModel]) -> str:
@@ -291,12 +291,12 @@ def state_places(
     for state, derivative in derivatives.items():
         if state in positions.values():
             continue  # its derivative is a speed, at which forces act
-        found = _domain(fmu, state, positions.get(state))
-        if found is None:
+        domain_of_state = _domain(fmu, state, positions.get(state))
+        if domain_of_state is None:
             unit = fmu.variables[state].unit
             reasons[state] = f"has the unit {unit}, for which there are no laws" if unit else "has no unit"
             continue
-        domain, kind, potential = found
+        domain, kind, potential = domain_of_state
         if kind == "loop":
             names = {"through": state}
         elif domain in MECHANICAL:
@@ -305,7 +305,7 @@ def state_places(
                 names["p"] = positions[state]
         else:
             names = {"p": state}
-        port = _port(state, found, fmu.variables[state].unit or "1", names)
+        port = _port(state, domain_of_state, fmu.variables[state].unit or "1", names)
         sizes = _sizes(port, derivative, times, courses)
         if sizes:
             places.append(StatePlace(port, sizes, names))
@@ -314,14 +314,14 @@ def state_places(
 
 def _positions(derivatives: Mapping[str, str], courses: Sequence[Mapping[str, FloatArray]]) -> dict[str, str]:
     """Return the state of which each speed is the derivative."""
-    found = {}
+    positions = {}
     for speed in derivatives:
         for position, derivative in derivatives.items():
             same = [_alike(course[derivative], course[speed]) for course in courses]
             if position != speed and all(same) and any(np.ptp(course[speed]) > 0.0 for course in courses):
-                found[speed] = position
+                positions[speed] = position
                 break
-    return found
+    return positions
 
 
 def _alike(a: FloatArray, b: FloatArray) -> bool:
@@ -386,8 +386,8 @@ def _sizes(
     else:
         sizes |= {"P": max(float(np.ptp(x)) for x in here), "M": largest(here), "V": sizes["F"]}
         sizes["Z"] = float(here[0][0])
-    own = {name: value for name, value in sizes.items() if value > 0.0 or name == "Z"}
-    return own if "F" in own and ("P" in own or "V" in own) else {}
+    known = {name: value for name, value in sizes.items() if value > 0.0 or name == "Z"}
+    return known if "F" in known and ("P" in known or "V" in known) else {}
 
 
 def state_of(port: str, states: Collection[str]) -> str | None:
@@ -475,5 +475,5 @@ def exchanged(campaign: Campaign) -> dict[str, Fmu]:
     if any(stage.observer for stage in campaign.stages.values()):
         return {}
     used = {e.setup for e in campaign.measurements}
-    found = {name: model_exchange(m) for name, m in campaign.models.items() if name in used}
-    return {name: fmu for name, fmu in found.items() if fmu is not None}
+    exchanged_models = {name: model_exchange(m) for name, m in campaign.models.items() if name in used}
+    return {name: fmu for name, fmu in exchanged_models.items() if fmu is not None}

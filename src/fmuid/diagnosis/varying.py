@@ -211,7 +211,7 @@ def scored(
     setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
     basis, residual = nominal_basis(nominal, observed), stack(nominal.residuals, observed)
-    found: list[Scored] = []
+    best_scored: list[Scored] = []
     among = 0
     for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
         having = [setup for setup in setups if name in setup.coefficients]
@@ -222,37 +222,37 @@ def scored(
                 if kept is None or one.drop > (1.0 + _SIMPLER) * kept.drop:
                     best[one.over] = one
         among += len(best)
-        found += sorted(best.values(), key=lambda s: -s.drop)[:_EACH]
-    found = sorted(found, key=lambda s: -s.drop)[: 3 * _MOST]
-    if not found:
+        best_scored += sorted(best.values(), key=lambda s: -s.drop)[:_EACH]
+    best_scored = sorted(best_scored, key=lambda s: -s.drop)[: 3 * _MOST]
+    if not best_scored:
         return [], among
     (prediction,) = subject.model.predict([nominal.values])
     assert not isinstance(prediction, SimulationError)
-    null = draw_noise(observed, prediction).null(basis, [s.signature for s in found])
-    least = max(_MARGIN * null.threshold(), _SHARE * found[0].drop)
-    return [s for s in found if s.drop >= least][:_MOST], among
+    null = draw_noise(observed, prediction).null(basis, [s.signature for s in best_scored])
+    least = max(_MARGIN * null.threshold(), _SHARE * best_scored[0].drop)
+    return [s for s in best_scored if s.drop >= least][:_MOST], among
 
 
 def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) -> _Setup | None:
     """Return a setup linearised at the refitted parameters; None if no run or no coefficient is there."""
     index = [k for k, case in enumerate(subject.model.cases) if case.setup == name]
-    own = _without_source(model) if isinstance(model, Fmu) else {c.name: c for c in coefficients(model)}
-    if not index or not own:
+    by_name = _without_source(model) if isinstance(model, Fmu) else {c.name: c for c in coefficients(model)}
+    if not index or not by_name:
         return None
     linear: Linearised | LinearisedFmu
     if isinstance(model, Fmu):
-        flat, linear, factors = None, LinearisedFmu(model, list(own)), {n: n for n in own}
+        flat, linear, factors = None, LinearisedFmu(model, list(by_name)), {n: n for n in by_name}
         wanted = dict.fromkeys(linear.needed)
     else:
         # A parameter that varies in one equation only gets a factor there.
         flat, factors = (
             model,
-            {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in own.items()},
+            {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in by_name.items()},
         )
         terms = [Term(n, "parameter", f"p*{factor}") for n, factor in factors.items() if factor != n]
         split = instrument(flat, terms, [Added(factor, 1.0) for n, factor in factors.items() if factor != n])
         linear = Linearised(compile_flat(split), [*factors.values()])
-        near = (v for c in own.values() for v in (*c.variables, *_ends(model, c)))
+        near = (v for c in by_name.values() for v in (*c.variables, *_ends(model, c)))
         wanted = dict.fromkeys([*linear.needed, *near])
     places = {n: linear.parameters.index(factor) for n, factor in factors.items() if factor in linear.parameters}
     cases = [subject.model.cases[k] for k in index]
@@ -268,7 +268,7 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
             **subject.model.start_values(case, {**subject.model.fixed, **nominal.values}),
         }
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
-    return _Setup(flat, linear, {n: own[n] for n in places}, places, index, courses, responses)
+    return _Setup(flat, linear, {n: by_name[n] for n in places}, places, index, courses, responses)
 
 
 def _without_source(fmu: Fmu) -> dict[str, Coefficient]:
@@ -294,7 +294,7 @@ def _measured(subject: Subject) -> dict[str, str]:
 def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], name: str) -> list[Source]:
     """Return the quantities that a coefficient may depend on; of several that are the same, only the first."""
     cases = [(subject.model.cases[k], c) for s in having for k, c in zip(s.index, s.courses, strict=True)]
-    found: list[Source] = []
+    sources: list[Source] = []
     known: list[FloatArray] = []
 
     def offer(source: Source) -> None:
@@ -307,18 +307,18 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
         same = next((k for k, other in enumerate(known) if abs(float(unit @ other)) >= 1.0 - _ALIKE), None)
         if same is None:
             known.append(unit)
-            found.append(source)
+            sources.append(source)
         elif source.near:
-            found[same] = replace(found[same], near=True)
+            sources[same] = replace(sources[same], near=True)
 
     units = {v: one.unit or "1" for v, one in cases[0][0].simulator.variables.items()}
     signals = {variable: signal for signal, variable in _measured(subject).items()}
-    own = [v for s in having for v in s.near(name)]
+    neighbours = [v for s in having for v in s.near(name)]
     states = [v for s in having for v in s.around(name)]
     inputs = [n for case, _ in cases for n in case.task.inputs]
-    near = {*own}
+    near = {*neighbours}
     # Of variables that are equal, a measured signal or an input names a dependence best.
-    ordered = dict.fromkeys([*inputs, *signals, *states, *own])
+    ordered = dict.fromkeys([*inputs, *signals, *states, *neighbours])
     for variable in ordered:
         if all(variable in c for _, c in cases) and all(s.offers(variable) for s in having):
             direct = all(s.linear.direct(variable) for s in having)
@@ -330,18 +330,18 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
         values = tuple(np.mean([one[column].values for one in log], axis=0) for log in logs)
         offer(Source(column, logged(column), logs[0][0][column].unit, values, column=True))
     offer(Source(TIME, TIME, "s", tuple(case.time for case, _ in cases)))
-    return found
+    return sources
 
 
 def _around(flat: FlatModel, c: Coefficient) -> set[str]:
     """Return the components in which a coefficient acts, and those that are connected to them."""
-    found = {*c.components}
+    components = {*c.components}
     for equation in flat.equations:
         if equation.origin.connectors:
             joined = {flat.connectors[p].component for p in equation.origin.connectors if p in flat.connectors}
             if joined & {*c.components}:
-                found |= joined
-    return found
+                components |= joined
+    return components
 
 
 def _of(
@@ -362,10 +362,10 @@ def _of(
         if not _suits(law, source):
             continue
         for trial in _trials(law, source, duration):
-            own = [_change(law, x, t, trial) for x, t in zip(source.courses, time, strict=True)]
-            if all(np.isfinite(c).all() for c in own) and any(np.ptp(c) > 0.0 for c in own):
+            changes = [_change(law, x, t, trial) for x, t in zip(source.courses, time, strict=True)]
+            if all(np.isfinite(c).all() for c in changes) and any(np.ptp(c) > 0.0 for c in changes):
                 tried.append((law_name, law))
-                rows.append(tuple(own))
+                rows.append(tuple(changes))
     if not rows:
         return
     moved = _moved(subject, having, name, [np.array(one) for one in zip(*rows, strict=True)])
@@ -434,12 +434,12 @@ def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Seque
     observed = subject.observed
     count = len(courses[0])
     parts = [np.zeros((count, w.size)) for w in observed.whiteners]
-    own = iter(courses)
+    remaining = iter(courses)
     for setup in having:
         j = setup.places[name]
         for k, response in zip(setup.index, setup.responses, strict=True):
             case = subject.model.cases[k]
-            moved = response.to(j, next(own))
+            moved = response.to(j, next(remaining))
             shown = np.stack([c.scaled(case.time, moved[:, i], {}) if not c.plain else moved[:, i]
                               for i, c in enumerate(case.channels)], axis=1)  # fmt: skip
             whitened = observed.whiteners[k](shown).reshape(count, -1)
@@ -478,10 +478,10 @@ class Course:
         ends = self.y[0], self.y[-1]
         moves = "grows" if ends[1] > ends[0] else "falls"
         unit = "" if self.over_unit == "1" else f" {self.over_unit}"
-        own = "" if self.unit == "1" else f" {self.unit}"
+        of_unit = "" if self.unit == "1" else f" {self.unit}"
         rate = "" if self.slope is None else f"{100.0 * self.slope:+.3g} % per{unit or ' unit'}, "
         return (
-            f"{self.name} {moves} with {self.over}: {rate}from {ends[0]:.3g} to {ends[1]:.3g}{own} "
+            f"{self.name} {moves} with {self.over}: {rate}from {ends[0]:.3g} to {ends[1]:.3g}{of_unit} "
             f"over {self.x[0]:.3g} to {self.x[-1]:.3g}{unit}"
         )
 
@@ -491,8 +491,8 @@ def course_of(subject: Subject, effect: Effect, values: Mapping[str, float]) -> 
     if effect.acts != "parameter" or not effect.expression:
         return None
     formula = parse_modelica(effect.expression)
-    own = {u.name: values.get(u.name, u.start) for u in effect.unknowns}
-    (source,) = formula.names - {"p", *own}
+    sizes = {u.name: values.get(u.name, u.start) for u in effect.unknowns}
+    (source,) = formula.names - {"p", *sizes}
     cases = subject.model.cases
     every = {**subject.model.fixed, **values}
     parameter = effect.port.partition(":")[0]
@@ -505,12 +505,12 @@ def course_of(subject: Subject, effect: Effect, values: Mapping[str, float]) -> 
     else:
         reached = [row[0] for row in subject.model.trajectories(every, [source])]
     x = np.linspace(min(float(r.min()) for r in reached), max(float(r.max()) for r in reached), 200)
-    columns = {n: np.full(len(x), v) for n, v in {"p": p or 0.0, **own}.items()} | {source: x}
+    columns = {n: np.full(len(x), v) for n, v in {"p": p or 0.0, **sizes}.items()} | {source: x}
     y = formula.of_samples({n: columns[n] for n in formula.names})
-    sized = len(own) == 1 and effect.expression.startswith("p*(1 + ") and "abs(" not in effect.expression
+    sized = len(sizes) == 1 and effect.expression.startswith("p*(1 + ") and "abs(" not in effect.expression
     over = effect.id.rpartition("(")[2].rstrip(")")
     variable = case.simulator.variables.get(source)
     unit = "s" if source == TIME else effect.inputs.get(source) or (variable.unit if variable else None) or "1"
     declared = case.simulator.variables[parameter].unit or "1"
-    slope = next(iter(own.values())) if sized else None
+    slope = next(iter(sizes.values())) if sized else None
     return Course(effect.port, declared, over, unit, x, y, slope)

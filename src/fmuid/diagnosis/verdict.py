@@ -640,8 +640,8 @@ def as_version_2(answer: Mapping[str, Any]) -> dict[str, Any]:
 
     A provisional verdict becomes *insufficient*, as version 2 called it.
     """
-    found = {k: v for k, v in answer.items() if k not in ("best", "refinements", "equal")} | {"version": 2}
+    without_new = {k: v for k, v in answer.items() if k not in ("best", "refinements", "equal")} | {"version": 2}
     verdict = {k: v for k, v in answer["verdict"].items() if k != "provisional"}
     if answer["verdict"]["provisional"]:
         verdict |= {"kind": "insufficient", "effects": [], "one_of": [], "port": None, "ports": [], "rest": None}
-    return found | {"verdict": verdict}
+    return without_new | {"verdict": verdict}

@@ -59,7 +59,7 @@ class Discovery:
 
 
 def find_law(
-    found: Found,
+    outcome: Found,
     models: Mapping[str, ModelSpec],
     load: Callable[[ModelSpec], Simulator],
     *,
@@ -85,7 +85,7 @@ def find_law(
     seed
         Seed of the null distribution and the bootstrap.
     """
-    verdict, subject = found.diagnosis.verdict, found.subject
+    verdict, subject = outcome.diagnosis.verdict, outcome.subject
     effect = verdict.kind == "effect"
     if verdict.kind not in ("unknown", "partial") and not (effect and verdict.rest is not None):
         return None
@@ -94,13 +94,13 @@ def find_law(
         return _none(
             "a model has neither Modelica source nor an FMU for model exchange, so no law can be added to it"
         )
-    noise = noise_draws(subject, found.nominal, seed)
-    named = () if verdict.kind == "unknown" else found.surviving[:1]
-    if named and not found.entered:  # the verdict did not need it
-        found = replace(found, entered=where_it_enters(subject, named[0]))
+    noise = noise_draws(subject, outcome.nominal, seed)
+    named = () if verdict.kind == "unknown" else outcome.surviving[:1]
+    if named and not outcome.entered:  # the verdict did not need it
+        outcome = replace(outcome, entered=where_it_enters(subject, named[0]))
     reasons = []
-    for base in (found.nominal, *named):  # instead of the effects that explain a part, then in addition to them
-        search = _Search(found, base, models, load, insides, noise, seed)
+    for base in (outcome.nominal, *named):  # instead of the effects that explain a part, then in addition to them
+        search = _Search(outcome, base, models, load, insides, noise, seed)
         try:
             best, reason = search.best(say)
             if effect and best is not None and not decide.worth_adding(named[0], best.fitted):
@@ -117,8 +117,8 @@ def find_law(
 def insides_of(subject: Subject, models: Mapping[str, ModelSpec]) -> dict[str, FlatModel | Fmu] | None:
     """Return the source of every setup, or its FMU for model exchange; None if one has neither."""
     setups = dict.fromkeys(case.setup for case in subject.model.cases)
-    found = {s: inside for s in setups if s in models and (inside := inside_of(models[s])) is not None}
-    return found if len(found) == len(setups) else None
+    insides = {s: inside for s in setups if s in models and (inside := inside_of(models[s])) is not None}
+    return insides if len(insides) == len(setups) else None
 
 
 def noise_draws(subject: Subject, fitted: Fitted, seed: int) -> NoiseDraws:
@@ -141,13 +141,13 @@ def _likeliest(chosen: Sequence[Chosen]) -> list[Chosen]:
 
     With few experiments, leaving one out says little where the rest is far from linear.
     """
-    found: list[Chosen] = []
+    kept: list[Chosen] = []
     for terms, most in enumerate(_TRIED, 1):
-        own = [c for c in chosen if len(c.terms) == terms]
-        first = sorted(own, key=lambda c: c.held_out.mean)[: most - most // 2]
-        others = sorted((c for c in own if c not in first), key=lambda c: -c.drop)
-        found += [*first, *others[: most // 2]]
-    return found
+        of_length = [c for c in chosen if len(c.terms) == terms]
+        first = sorted(of_length, key=lambda c: c.held_out.mean)[: most - most // 2]
+        others = sorted((c for c in of_length if c not in first), key=lambda c: -c.drop)
+        kept += [*first, *others[: most // 2]]
+    return kept
 
 
 def _none(reason: str) -> Discovery:
@@ -200,9 +200,9 @@ class _Search:
 
     def spots(self) -> list[Spot]:
         """Return the candidate places that can carry a law, the likeliest first."""
-        found, subject = self.found, self.found.subject
+        places, subject = self.found, self.found.subject
         ports = subject.catalogue.ports
-        asked = sorted(found.entered, key=lambda port: -found.entered[port].evidence)
+        asked = sorted(places.entered, key=lambda port: -places.entered[port].evidence)
         here = set.intersection(*map(names_of_places, self.insides.values()))
         names = [n for n in asked if n in here and n in ports and ports[n].added and ports[n].input is not None]
         inside = next(iter(self.insides.values()))
@@ -229,8 +229,8 @@ class _Search:
         if again is None:
             return []
         noise, inside = noise_draws(part, again, self.seed), next(iter(self.insides.values()))
-        own = [spot(s.port.name, inside, part.model, again.fit.values) for s in spots]
-        chosen = [c for s in own if s is not None for c in choose(part, again.fit, s, noise)]
+        rebuilt = [spot(s.port.name, inside, part.model, again.fit.values) for s in spots]
+        chosen = [c for s in rebuilt if s is not None for c in choose(part, again.fit, s, noise)]
         return self._refitted(None, _likeliest(chosen))
 
     def _led_out(self, law: Candidate) -> Candidate:
@@ -261,22 +261,22 @@ class _Search:
                 values = {n: law.fitted.fit.values[n] for n in values}
                 sizes = [law.fitted.fit.values[n] for n in law.law.sizes] + sizes
                 for i in range(len(law.law.terms)):
-                    own, theirs = new.shapes(i), law.law.shapes(i)
-                    values |= {own[n]: law.fitted.fit.values[theirs[n]] for n in own}
+                    new_shapes, theirs = new.shapes(i), law.law.shapes(i)
+                    values |= {new_shapes[n]: law.fitted.fit.values[theirs[n]] for n in new_shapes}
             laws.append(new)
             starts.append(values | dict(zip(new.sizes, sizes, strict=True)))
         effects = [law.effect(f"tried{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
         subject = with_laws(self.found.subject, self.models, self.load, effects, self.base.effects)
         subject = tightened(subject, starts)
         beside = [e for e in subject.effects if e.id in self.base.effects]
-        found = []
+        candidates = []
         for new, effect, start in zip(laws, effects, starts, strict=True):
             fitted = fit_effects(
                 subject, [*beside, effect], [start, {**start, **subject.starts}] if law is None else [start]
             )
             if fitted is not None and not decide.strained(fitted, [effect]):
-                found.append(Candidate(new, effect, subject, fitted))
-        return found
+                candidates.append(Candidate(new, effect, subject, fitted))
+        return candidates
 
     def _simplest(self, candidates: Sequence[Candidate]) -> Candidate:
         """Return the simplest of the laws that the data do not distinguish from the best one.
@@ -348,11 +348,11 @@ class _Search:
         before = {u.name: values[u.name] for u in law.effect.unknowns}
         after = final.effect("", "").unknowns
         new = {old: u.name for old, u in zip(before, after, strict=True)}
-        found = {new.get(n, n): v for n, v in values.items()}
-        text = f"law found at {spot.port.name}: a flow of {final.formula(found)}"
-        effect = final.effect(f"{name}_found@{spot.port.name}", text, found)
+        renamed = {new.get(n, n): v for n, v in values.items()}
+        text = f"law found at {spot.port.name}: a flow of {final.formula(renamed)}"
+        effect = final.effect(f"{name}_found@{spot.port.name}", text, renamed)
         unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
-        fit = replace(law.fitted.fit, unknowns=unknowns, values=found)
+        fit = replace(law.fitted.fit, unknowns=unknowns, values=renamed)
         fitted = replace(law.fitted, effects=(*law.fitted.effects[:-1], effect.id), fit=fit)
         subject = with_laws(self.found.subject, self.models, self.load, [effect], law.fitted.effects[:-1])
         return Candidate(final, effect, subject, fitted)
@@ -393,13 +393,13 @@ def curve(law: Law, values: Mapping[str, float]) -> Curve:
     flow = np.zeros(_POINTS)
     used: dict[str, float] = {}
     for k, (size, term) in enumerate(zip(law.sizes, law.terms, strict=True)):
-        own = {n: np.full(_POINTS, values[name]) for n, name in law.shapes(k).items()}
+        shape_columns = {n: np.full(_POINTS, values[name]) for n, name in law.shapes(k).items()}
         used |= {n: held[n] for n in names_in(term.text) & held.keys() - {x.name}}
         if term.rate:
-            shapes = {n: float(v[0]) for n, v in own.items()}
+            shapes = {n: float(v[0]) for n, v in shape_columns.items()}
             course = [term.state(c, t, shapes) for c, t in zip(courses, law.spot.time, strict=True)]
             used[HIDDEN] = float(np.sqrt(np.mean(np.concatenate(course) ** 2)))
-            own[HIDDEN] = np.full(_POINTS, used[HIDDEN])
-        flow = flow + values[size] * evaluated(term.text, columns | own)
+            shape_columns[HIDDEN] = np.full(_POINTS, used[HIDDEN])
+        flow = flow + values[size] * evaluated(term.text, columns | shape_columns)
     words = ", ".join(f"{n} = {v:.3g}" for n, v in used.items())
     return Curve(x.name, x.unit, law.spot.unit, tuple(map(float, grid)), tuple(map(float, flow)), words)

@@ -99,9 +99,9 @@ class Law:
         flow, text = self.spot.unit, ""
         for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True)):
             numbers = {n: f"{values[name]:.4g} {term.shapes[n].unit}" for n, name in self.shapes(k).items()}
-            own = f"{abs(values[size]):.4g} {flow} * {_put_in(term.text, numbers)}"
+            product = f"{abs(values[size]):.4g} {flow} * {_put_in(term.text, numbers)}"
             sign = "-" if values[size] < 0.0 else "+"
-            text += f" {sign} {own}" if text else own if sign == "+" else f"-{own}"
+            text += f" {sign} {product}" if text else product if sign == "+" else f"-{product}"
             if term.rate:
                 text += f" where der({HIDDEN}) = {_put_in(term.rate, numbers)}"
         return text
@@ -120,8 +120,8 @@ class Law:
         unknowns = [Unknown(n, 0.0, -_MOST * flow, _MOST * flow, _STEP * flow) for n in self.sizes]
         units = dict.fromkeys(self.sizes, unit)
         for k, term in enumerate(self.terms):
-            for own, name in self.shapes(k).items():
-                shape = term.shapes[own]
+            for key, name in self.shapes(k).items():
+                shape = term.shapes[key]
                 start = min(max((starts or {}).get(name, shape.value), shape.lower), shape.upper)
                 unknowns.append(Unknown(name, start, shape.lower, shape.upper, 10.0 * _STEP * shape.value))
                 units[name] = shape.unit
@@ -221,8 +221,8 @@ def with_laws(
     """
     kept = {id: e for id, e in subject.catalogue.effects.items() if id in beside}
     catalogue = replace(subject.catalogue, effects=kept | {law.id: law for law in laws})
-    own = {setup: models[setup] for setup in {case.setup for case in subject.model.cases}}
-    simulators = {setup: load(replace(spec, fmu=_built(spec, catalogue))) for setup, spec in own.items()}
+    used = {setup: models[setup] for setup in {case.setup for case in subject.model.cases}}
+    simulators = {setup: load(replace(spec, fmu=_built(spec, catalogue))) for setup, spec in used.items()}
     variables = {name for simulator in simulators.values() for name in simulator.variables}
     for why, (id, *_) in left_out([models[setup] for setup in simulators], catalogue, variables).items():
         raise ModelicaError(f"the model cannot be built with '{id}': {why}")

@@ -72,7 +72,7 @@ class Tabulated:
 
 
 def tabulate(
-    found: Found,
+    outcome: Found,
     models: Mapping[str, ModelSpec],
     load: Callable[[ModelSpec], Simulator],
     *,
@@ -95,18 +95,20 @@ def tabulate(
     seed
         Seed of the null distribution.
     """
-    verdict, subject, before = found.diagnosis.verdict, found.subject, found.diagnosis.best
+    verdict, subject, before = outcome.diagnosis.verdict, outcome.subject, outcome.diagnosis.best
     least = 0.0 if before is None else before.closure.validated
-    named = () if found.best is None else (found.best,)
-    finished = verdict.kind == "complete" or (bool(found.surviving) and verdict.rest is None)
-    if finished or not found.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
+    named = () if outcome.best is None else (outcome.best,)
+    finished = verdict.kind == "complete" or (bool(outcome.surviving) and verdict.rest is None)
+    if finished or not outcome.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
         return None
     setups = dict.fromkeys(case.setup for case in subject.model.cases)
     inside = [inside_of(models[s]) for s in setups if s in models]
     if len(inside) < len(setups) or None in inside or inside[0] is None:
         return None
-    null = noise_draws(subject, found.nominal, seed).null(nominal_basis(found.nominal.fit, subject.observed), ())
-    alone, *beside = (_Search(found, base, models, load, inside[0], null) for base in (found.nominal, *named))
+    null = noise_draws(subject, outcome.nominal, seed).null(
+        nominal_basis(outcome.nominal.fit, subject.observed), ()
+    )
+    alone, *beside = (_Search(outcome, base, models, load, inside[0], null) for base in (outcome.nominal, *named))
     open_ = verdict.kind != "effect" or verdict.provisional
     searches = [*(s.refined for s in beside), *([alone.learned] if open_ else [])]
     searches += [s.learned for s in beside] if open_ else []
@@ -121,7 +123,7 @@ def tabulate(
             continue
         if all(_better(b, table.fitted) for b in named):
             tables.append(table)
-            if closure(found.nominal.held_out, table.fitted.held_out) >= decide.CLOSURE_BEYOND_DOUBT:
+            if closure(outcome.nominal.held_out, table.fitted.held_out) >= decide.CLOSURE_BEYOND_DOUBT:
                 break
     return min(tables, key=lambda t: t.fitted.held_out.mean, default=None)
 
@@ -172,8 +174,8 @@ class _Search:
         tried = []
         for effect in (by_id[id] for id in self.base.effects):
             place = self._spot(effect.port) if effect.acts == "flow" and effect.expression else None
-            own = [q for q in place.quantities if q.name in _names(effect)] if place is not None else []
-            best = self._built(self._over_one(place, own)) if place is not None else None
+            of_law = [q for q in place.quantities if q.name in _names(effect)] if place is not None else []
+            best = self._built(self._over_one(place, of_law)) if place is not None else None
             if best is not None and _better(self.base, best.fitted):
                 tried.append((best, effect.id))
         best, of = min(tried, key=lambda pair: pair[0].fitted.held_out.mean, default=(None, ""))
@@ -273,13 +275,13 @@ class _Search:
         (x,), values, held_out = before.over, before.fitted.fit.values, before.held_out
         place = self._along(before.law.spot.port.name, before.subject, values) or before.law.spot
         fine = _knots(place, x, _FINER[-1])
-        found = []
+        proposals = []
         for knots in dict.fromkeys(_some(fine, n) for n in _FINER):
             at = fine[list(knots)]
             sizes = np.interp(at, before.knots[0], [values[n] for n in before.law.sizes])
             terms = _terms((x,), (at,))
-            found.append(_Proposed(place, terms, tuple(map(float, sizes)), held_out, 0.0, (x,), (at,)))
-        return found
+            proposals.append(_Proposed(place, terms, tuple(map(float, sizes)), held_out, 0.0, (x,), (at,)))
+        return proposals
 
     def _fitted(self, proposed: Sequence[_Proposed]) -> list[_Built]:
         """Put tables into the model, each while the others are off, and refit each with all parameters."""
@@ -324,7 +326,7 @@ class _Search:
         values = {renamed.get(n, n): v for n, v in fitted.fit.values.items()}
         unknowns = tuple(replace(u, name=renamed.get(u.name, u.name)) for u in fitted.fit.unknowns)
         fit = replace(fitted.fit, unknowns=unknowns, values=values)
-        left_out = tuple({renamed.get(n, n): v for n, v in own.items()} for own in fitted.left_out)
+        left_out = tuple({renamed.get(n, n): v for n, v in at_fold.items()} for at_fold in fitted.left_out)
         fitted = replace(fitted, effects=(*fitted.effects[:-1], effect.id), fit=fit, left_out=left_out)
         subject = with_laws(self.found.subject, self.models, self.load, [effect], fitted.effects[:-1])
         best = Closing(subject, self.found.nominal, self.null).best(fitted)
@@ -415,13 +417,13 @@ def _some(knots: FloatArray, count: int) -> tuple[int, ...]:
     return tuple(dict.fromkeys(np.linspace(0, len(knots) - 1, count).round().astype(int).tolist()))
 
 
-def _simplest(found: Sequence[_Table]) -> _Table:
+def _simplest(tables: Sequence[_Table]) -> _Table:
     """Return the table with the fewest values of those that predict left-out experiments as well as the best."""
-    best = min(found, key=lambda t: t.held_out.mean)
+    best = min(tables, key=lambda t: t.held_out.mean)
 
     def as_good(other: _Table) -> bool:
         gained, error = advantage(best.held_out, other.held_out)
         return gained <= error
 
-    alike = [t for t in found if t is best or as_good(t)]
+    alike = [t for t in tables if t is best or as_good(t)]
     return min(alike, key=lambda t: (len(t.terms), t.held_out.mean))

@@ -111,7 +111,7 @@ def _at_port(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[s
         return None
     free_inputs = [n for n in model.cases[0].task.inputs if n.isidentifier() and n not in port.quantities]
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
-    own = _quantities(port, courses)
+    of_port = _quantities(port, courses)
     inputs = [q for n in free_inputs if (q := _quantity(n, n, units.get(n, "1"), courses)) is not None]
     potential, flow = port.units
     units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow}
@@ -120,7 +120,7 @@ def _at_port(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[s
     }
     near |= {c.variable for case in model.cases for c in case.channels}
     bare = Spot(port, max(flows), tuple(around), (), ())
-    return _with_terms(bare, model, (own, inputs), near, units)
+    return _with_terms(bare, model, (of_port, inputs), near, units)
 
 
 def _with_terms(
@@ -153,8 +153,8 @@ def _neighbours(port: Port, ports: Sequence[Port]) -> list[Port]:
     def components(one: Port) -> set[str]:
         return {connector.rpartition(".")[0] for connector in one.connectors}
 
-    own = components(port)
-    return [p for p in ports if not own or not own.isdisjoint(components(p))]
+    parts = components(port)
+    return [p for p in ports if not parts or not parts.isdisjoint(components(p))]
 
 
 def _from_start(x: Quantity, courses: Sequence[Mapping[str, FloatArray]]) -> Quantity:
@@ -175,8 +175,8 @@ def _at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, fl
     wanted = [n for n in observed_states(fmu) if n in known]
     times = [case.time for case in model.cases]
     courses = [dict(zip(wanted, row, strict=True)) for row in model.trajectories(values, wanted)]
-    found = next((p for p in state_places(fmu, times, courses)[0] if p.port.name == name), None)
-    if found is None:
+    place = next((p for p in state_places(fmu, times, courses)[0] if p.port.name == name), None)
+    if place is None:
         return None
     driven = [{n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()} for case in model.cases]
     columns = [{n: u for n, (_, u) in case.columns.items()} for case in model.cases]
@@ -188,11 +188,11 @@ def _at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, fl
         for t, one, row, own in zip(times, courses, driven, columns, strict=True)
     )
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
-    port, flow = found.port, found.sizes["P" if found.port.kind == "loop" else "F"]
+    port, flow = place.port, place.sizes["P" if place.port.kind == "loop" else "F"]
     kinds: dict[str, Kind] = {"rate": "speed", "p": _POSITION.get(port.domain, "value")}
     own = [
         _above_start(q, around) if port.domain == "thermal" else q
-        for what, n in found.names.items()
+        for what, n in place.names.items()
         if (q := _quantity(n, n, units.get(n, "1"), around, kinds.get(what, "value"))) is not None
     ]
     inputs = [q for n in driven[0] if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
@@ -222,23 +222,23 @@ def _local(
         return courses_at(port, course, time)
 
     def across(names: Sequence[str]) -> FloatArray | None:
-        own = [course[n] for n in names if n in course]
-        if not names or len(own) != len(names):
+        potentials = [course[n] for n in names if n in course]
+        if not names or len(potentials) != len(names):
             return None
-        return own[1] - own[0] if port.kind == "branch" else own[0]
+        return potentials[1] - potentials[0] if port.kind == "branch" else potentials[0]
 
     p = across(port.probes["p"])
     if p is None:
         return {}
-    found = {"p": p}
+    quantities = {"p": p}
     if "rate" in port.quantities and port.domain in MECHANICAL:
         rate = across(port.probes.get("rate", ()))
-        found["rate"] = np.gradient(p, time) if rate is None else rate
+        quantities["rate"] = np.gradient(p, time) if rate is None else rate
     if port.kind == "branch" and (flow := course.get(port.probes["flow"][0])) is not None:
-        found["through"] = flow
+        quantities["through"] = flow
     if load and load[0] in course:
-        found["load"] = course[load[0]]
-    return found
+        quantities["load"] = course[load[0]]
+    return quantities
 
 
 def _quantities(port: Port, courses: Sequence[Mapping[str, FloatArray]]) -> list[Quantity]:
@@ -247,12 +247,12 @@ def _quantities(port: Port, courses: Sequence[Mapping[str, FloatArray]]) -> list
     if port.domain == "thermal" and port.kind == "node" and start != 0.0:
         p = f"(p - {start:.6g})"  # above its start value
     position = _POSITION.get(port.domain, "value") if port.kind == "node" else "value"
-    found = [
+    quantities = [
         _quantity(p, "p", potential, courses, position, above=start if p != "p" else 0.0),
         _quantity("rate", "rate", f"{potential}/s", courses, "speed"),
         _quantity("load", "load", flow, courses, "flow"),
     ]
-    return [q for q in found if q is not None]
+    return [q for q in quantities if q is not None]
 
 
 def _quantity(
@@ -296,11 +296,11 @@ def _distinct(
 
 def _apart(quantities: Sequence[Quantity], courses: Sequence[Mapping[str, FloatArray]]) -> list[Quantity]:
     """Return the quantities that are not, up to a factor and a shift, another one before them."""
-    found: list[tuple[Quantity, FloatArray]] = []
+    distinct: list[tuple[Quantity, FloatArray]] = []
     for quantity in quantities:
         course = np.concatenate([c[quantity.name] for c in courses])
         course = course - course.mean()
         course /= np.linalg.norm(course)
-        if all(abs(float(course @ other)) < 1.0 - _SAME for _, other in found):
-            found.append((quantity, course))
-    return [quantity for quantity, _ in found]
+        if all(abs(float(course @ other)) < 1.0 - _SAME for _, other in distinct):
+            distinct.append((quantity, course))
+    return [quantity for quantity, _ in distinct]

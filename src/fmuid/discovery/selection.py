@@ -69,22 +69,22 @@ def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pair
     residual = stack(base.residuals, observed)
     threshold = decide.SCORE_MARGIN * noise.null(basis, [c.signature for c in columns]).threshold()
     columns = sorted((c for c in columns if c.drop >= threshold), key=lambda c: -c.drop)
-    found = _best_of_families([_judged(subject, base, spot, [c], c.drop) for c in columns[:_JUDGED]])
+    chosen = _best_of_families([_judged(subject, base, spot, [c], c.drop) for c in columns[:_JUDGED]])
     by_term = {id(c.term): c for c in columns}
-    for first in sorted(found, key=lambda f: f.held_out.mean)[: _BEGUN if pairs else 0]:
-        own = by_term[id(first.terms[0])]
-        left = project_off(residual, own.signature[:, None])
+    for first in sorted(chosen, key=lambda f: f.held_out.mean)[: _BEGUN if pairs else 0]:
+        column = by_term[id(first.terms[0])]
+        left = project_off(residual, column.signature[:, None])
         partners = sorted(
-            ((_drop_beside(own, c, left), c) for c in columns if c is not own), key=lambda pair: -pair[0]
+            ((_drop_beside(column, c, left), c) for c in columns if c is not column), key=lambda pair: -pair[0]
         )
-        families = {own.term.family}
+        families = {column.term.family}
         for drop, partner in partners:
             if drop < threshold or len(families) > _PARTNERS:
                 break
             if partner.term.family not in families:
                 families.add(partner.term.family)
-                found.append(_judged(subject, base, spot, [own, partner], own.drop + drop))
-    return _best_of_families(found)
+                chosen.append(_judged(subject, base, spot, [column, partner], column.drop + drop))
+    return _best_of_families(chosen)
 
 
 def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
@@ -107,11 +107,11 @@ def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
     nearest: dict[str, tuple[float, Proposal]] = {}
     for term in spot.terms:
         course = term.whole_course(spot.courses, spot.time)
-        own = project_off(course, basis)
-        length = float(np.linalg.norm(own))
+        remaining = project_off(course, basis)
+        length = float(np.linalg.norm(remaining))
         if length > 1e-3 * float(np.linalg.norm(course)):
-            size = float(own @ target) / length**2
-            left = float(np.linalg.norm(target - size * own))
+            size = float(remaining @ target) / length**2
+            left = float(np.linalg.norm(target - size * remaining))
             if left < nearest.get(term.family, (np.inf,))[0]:
                 nearest[term.family] = left, Proposal(spot, (term,), (size,))
     return [proposal for _, proposal in sorted(nearest.values(), key=lambda pair: pair[0])[:_INSTEAD]]
@@ -127,7 +127,7 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
     linear = _linear(spot)
     chosen, sums = spanning(*(np.array([np.concatenate(c) for c in every]) for every in (courses, linear)))
     driven = moved_by(model, observed, base, port, (*linear, *(courses[k] for k in chosen)))
-    found = []
+    columns = []
     for term, amounts in zip(spot.terms, sums, strict=True):
         used = [(a, m) for a, m in zip(amounts, driven, strict=True) if a]
         if any(m is None for _, m in used):
@@ -140,8 +140,8 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
         length = float(np.linalg.norm(signature))
         if length > 1e-3 * float(np.linalg.norm(whole)) and length > 1.0:
             signature /= length
-            found.append(_Column(term, parts, signature, float(signature @ residual) ** 2))
-    return found
+            columns.append(_Column(term, parts, signature, float(signature @ residual) ** 2))
+    return columns
 
 
 def _linear(spot: Spot) -> list[tuple[FloatArray, ...]]:
@@ -196,9 +196,9 @@ def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column
     return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out, drop)
 
 
-def _best_of_families(found: Sequence[Chosen]) -> list[Chosen]:
+def _best_of_families(candidates: Sequence[Chosen]) -> list[Chosen]:
     best: dict[frozenset[str], Chosen] = {}
-    for one in found:
+    for one in candidates:
         family = frozenset(t.family for t in one.terms)
         if family not in best or one.held_out.mean < best[family].held_out.mean:
             best[family] = one

@@ -128,8 +128,8 @@ class Term:
 def evaluated(text: str, columns: Mapping[str, FloatArray]) -> FloatArray:
     """Return the value of a Modelica expression of this library at every sample of (N,) columns."""
     expression = parse_modelica(text)
-    found = expression.of_samples({n: columns[n] for n in expression.names})
-    return np.broadcast_to(found, np.shape(columns["time"])).astype(np.float64)
+    values = expression.of_samples({n: columns[n] for n in expression.names})
+    return np.broadcast_to(values, np.shape(columns["time"])).astype(np.float64)
 
 
 def names_in(text: str) -> frozenset[str]:
@@ -158,18 +158,18 @@ def library(
 
     `others` are variables away from the place: neighbours' states, measured outputs, columns, time.
     """
-    found: list[Term] = []
+    terms: list[Term] = []
     for x in quantities:
-        found += _of_one(x) if x.kind != "flow" else ()  # a load only acts together with other quantities
+        terms += _of_one(x) if x.kind != "flow" else ()  # a load only acts together with other quantities
     for u in (*inputs, *others):
-        found += _of_input(u)
+        terms += _of_input(u)
     for x in (q for q in quantities if q.kind != "flow"):
         for y in (*quantities, *inputs):
-            found += _of_two(x, y) if y != x else ()
-            found += _with_state(x, y, time)
+            terms += _of_two(x, y) if y != x else ()
+            terms += _with_state(x, y, time)
         for y in others:
-            found += _of_two(x, y)
-    return found
+            terms += _of_two(x, y)
+    return terms
 
 
 def _of_one(x: Quantity) -> Iterator[Term]:

@@ -40,14 +40,14 @@ def names_at(port: Port) -> list[str]:
 
 def courses_at(port: Port, courses: Mapping[str, FloatArray], time: FloatArray) -> dict[str, FloatArray]:
     """Return the quantities of a port without connectors over time, as far as they are known."""
-    found = {name: values_of(e, courses, time) for name, e in port.quantities.items()}
-    return {name: course for name, course in found.items() if course is not None}
+    quantities = {name: values_of(e, courses, time) for name, e in port.quantities.items()}
+    return {name: course for name, course in quantities.items() if course is not None}
 
 
 def largest_flow(port: Port, courses: Mapping[str, FloatArray], time: FloatArray) -> float:
     """Return the largest absolute value of a summand of a port without connectors."""
-    found = (values_of(term, courses, time) for term in port.terms)
-    return max((float(np.abs(course).max()) for course in found if course is not None), default=0.0)
+    flows = (values_of(term, courses, time) for term in port.terms)
+    return max((float(np.abs(course).max()) for course in flows if course is not None), default=0.0)
 
 
 def values_of(e: Expression, courses: Mapping[str, FloatArray], time: FloatArray) -> FloatArray | None:
@@ -63,10 +63,10 @@ def values_of(e: Expression, courses: Mapping[str, FloatArray], time: FloatArray
     try:
         with np.errstate(all="ignore"):
             values = np.asarray(_value(e, {"time": time, **courses}), dtype=np.float64)
-            found = np.broadcast_to(values, time.shape)
+            course = np.broadcast_to(values, time.shape)
     except _UnknownError:
         return None
-    return found if np.isfinite(found).all() else None
+    return course if np.isfinite(course).all() else None
 
 
 def _value(e: Expression | None, courses: Mapping[str, FloatArray]) -> FloatArray:

@@ -114,8 +114,8 @@ class Law(Table):
         """Return whether these sizes are all that the law's numbers depend on."""
         texts = [t for p in self.parameters.values() for t in (p.scale, p.most, p.start) if t]
         used = {n for text in texts for n in parse(text).names}
-        own = [self.expression] if isinstance(self.expression, str) else self.expression.values()
-        every = (*own, *(s.derivative for s in self.states.values()))
+        expressions = [self.expression] if isinstance(self.expression, str) else self.expression.values()
+        every = (*expressions, *(s.derivative for s in self.states.values()))
         used |= {n for text in every for n in names_in(text) & set(SIZES)}
         return used <= set(sizes)
 
@@ -155,8 +155,8 @@ def fitting(place: Place) -> Iterator[tuple[str, Law]]:
 
 def names_in(modelica: str) -> set[str]:
     """Return the names of variables in a Modelica expression."""
-    found = re.findall(r"(?<!\w)([A-Za-z_]\w*)\s*(\(?)", modelica)
-    return {name for name, called in found if not called} - {"if", "then", "else", "elseif", "and", "or", "not"}
+    words = re.findall(r"(?<!\w)([A-Za-z_]\w*)\s*(\(?)", modelica)
+    return {name for name, called in words if not called} - {"if", "then", "else", "elseif", "and", "or", "not"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,24 +183,28 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         name = name.partition("_")[0]
         base = f"{port.name.replace(':', '.')}.{name}.{re.sub(r'[^A-Za-z0-9]+', '_', over.name).strip('_')}"
         id, words = f"{name}@{port.name}({over.name})", f"{words} {over.name}"
-    own = {key: base if key == "size" else f"{base}_{key}" for key in law.parameters}
+    parameter_names = {key: base if key == "size" else f"{base}_{key}" for key in law.parameters}
 
     def value(text: str) -> float:
         return parse(text, where=f"laws.toml [{name}]")(sizes)
 
     states = {key: f"{base}_{key}" for key in law.states}
     numerals = {s: numeral(v, 6 if over else 3) for s, v in sizes.items()}
-    meant = {**place.names, **own, **states, **numerals}
+    meant = {**place.names, **parameter_names, **states, **numerals}
     if over is not None:
         meant["x"] = over.text
     expression = _put_in(law.of(port.domain), meant)
     if law.trials is None:
         trials = [
-            {own[k]: value(p.off or "0") + share * value(p.scale) for k, p in law.parameters.items() if p.scale}
+            {
+                parameter_names[k]: value(p.off or "0") + share * value(p.scale)
+                for k, p in law.parameters.items()
+                if p.scale
+            }
             for share in SHARES
         ]
     else:
-        every = [{own[k]: value(v) for k, v in trial.items()} for trial in law.trials]
+        every = [{parameter_names[k]: value(v) for k, v in trial.items()} for trial in law.trials]
         trials = [trial for i, trial in enumerate(every) if trial not in every[:i]]
     units = {"p": port.units[0], "f": port.units[1], "x": port.units[0]}
     table = f"[effects.{toml_text(id)}"
@@ -236,7 +240,9 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         step = 2e-3 * value(p.scale) if p.scale else 0.02 * first or 2e-3 * (most - least)
         numbers = {kind: first, "lower": least, "upper": most, "step": step}
         inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items()) + ", natural = true" * p.natural
-        lines.append(f"{toml_text(own[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}")
+        lines.append(
+            f"{toml_text(parameter_names[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}"
+        )
     return [*lines, ""]
 
 

@@ -50,52 +50,56 @@ def analyse(search: Search, spec: AnalysisSpec, record: Record, held: Held | Non
     An analysis that fails becomes a warning; the estimate remains valid. `held` are the parameters that the search
     fixed at estimates of earlier stages.
     """
-    found = Findings()
+    findings = Findings()
     best, problem = search.best, search.problem
     if best is None:
-        return found
+        return findings
 
     def evaluated(problem: Problem, points: Sequence[FloatArray]) -> list[Evaluation]:
-        found = {k: old for k, x in enumerate(points) if (old := search.recall(x, True)) is not None}
-        missing = [k for k in range(len(points)) if k not in found]
+        evaluations = {k: old for k, x in enumerate(points) if (old := search.recall(x, True)) is not None}
+        missing = [k for k in range(len(points)) if k not in evaluations]
         # In this process, nothing is gained by waiting for all: an interrupted run then keeps every one.
         for block in [[k] for k in missing] if problem.runner is in_process else [missing]:
-            found |= zip(block, problem.evaluate_many([points[k] for k in block]) if block else (), strict=True)
+            evaluations |= zip(
+                block, problem.evaluate_many([points[k] for k in block]) if block else (), strict=True
+            )
             for k in block:
-                record(found[k], "uncertainty", True)
-        return [found[k] for k in range(len(points))]
+                record(evaluations[k], "uncertainty", True)
+        return [evaluations[k] for k in range(len(points))]
 
     evaluate = partial(evaluated, problem)
     evaluate_held = None if held is None else partial(evaluated, held.problem)
     floor = search.noise_floor
     if spec.uncertainty:
-        with _noted(found, "no uncertainty"):
+        with _noted(findings, "no uncertainty"):
             free = uncertainty_of(
                 problem, best, evaluate=evaluate, floor=floor, held=held, evaluate_held=evaluate_held
             )
-            found.uncertainty = without_intervals(free, _without_errors(search, best, free, found.warnings))
-            found.warnings += free.notes
-    if found.uncertainty is not None:
-        _profile(found, found.uncertainty, spec, search, evaluate)
-        _spread(found, found.uncertainty, spec, search, (held, evaluate_held or evaluate))
-        _sample(found, found.uncertainty, spec, search)
+            findings.uncertainty = without_intervals(free, _without_errors(search, best, free, findings.warnings))
+            findings.warnings += free.notes
+    if findings.uncertainty is not None:
+        _profile(findings, findings.uncertainty, spec, search, evaluate)
+        _spread(findings, findings.uncertainty, spec, search, (held, evaluate_held or evaluate))
+        _sample(findings, findings.uncertainty, spec, search)
     if spec.pareto is not None:
-        found.front = _front(search, spec.pareto, best, record)
-        if found.front.beats_chosen:
-            found.warnings.append(
+        findings.front = _front(search, spec.pareto, best, record)
+        if findings.front.beats_chosen:
+            findings.warnings.append(
                 "a point of the front is better than the estimate: continue the search, or use several starts"
             )
-    return found
+    return findings
 
 
-def bounds_reached(problem: Problem, best: Evaluation, found: Uncertainty | None) -> dict[str, str]:
+def bounds_reached(problem: Problem, best: Evaluation, uncertainty: Uncertainty | None) -> dict[str, str]:
     """Return which bound, by name, each parameter at a bound is at, judged against its standard error if known."""
     errors: list[float | None] = [None] * len(problem.space)
-    if found is not None:
-        variances = np.maximum(np.diag(np.array(found.covariance)), 0.0)
+    if uncertainty is not None:
+        variances = np.maximum(np.diag(np.array(uncertainty.covariance)), 0.0)
         errors = [
-            None if name in found.identifiability.undetermined else float(error)
-            for name, error in zip(found.names, problem.space.slope(best.x) * np.sqrt(variances), strict=True)
+            None if name in uncertainty.identifiability.undetermined else float(error)
+            for name, error in zip(
+                uncertainty.names, problem.space.slope(best.x) * np.sqrt(variances), strict=True
+            )
         ]
     sides = {
         spec.name: at_bound(best.parameters[spec.name], spec.lower, spec.upper, error=e, log=spec.scale == "log")
@@ -116,29 +120,31 @@ def _without_errors(search: Search, best: Evaluation, free: Uncertainty, warning
 
 
 def _profile(
-    found: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search, evaluate: EvaluateMany
+    findings: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search, evaluate: EvaluateMany
 ) -> None:
     """Add the profiles of parameters that are determined and not at a bound; warnings name the others."""
     if not spec.profiles:
         return
     for name in [n for n, e in zip(estimate.names, estimate.standard_errors, strict=True) if e is not None]:
-        with _noted(found, f"no profile of {name}"):
+        with _noted(findings, f"no profile of {name}"):
             profile = profile_of(search.problem, estimate, name, evaluate=evaluate, floor=search.noise_floor)
-            found.profiles += (profile,)
+            findings.profiles += (profile,)
 
 
-def _sample(found: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search) -> None:
+def _sample(findings: Findings, estimate: Uncertainty, spec: AnalysisSpec, search: Search) -> None:
     """Add samples of the posterior."""
     if not spec.posterior:
         return
-    with _noted(found, "no posterior"):
-        found.posterior = posterior_of(search.problem, estimate, spec.posterior, seed=search.seed)
-        if not found.posterior.reliable:
-            found.warnings.append("the posterior's chain is too short for its autocorrelation: use more samples")
+    with _noted(findings, "no posterior"):
+        findings.posterior = posterior_of(search.problem, estimate, spec.posterior, seed=search.seed)
+        if not findings.posterior.reliable:
+            findings.warnings.append(
+                "the posterior's chain is too short for its autocorrelation: use more samples"
+            )
 
 
 def _spread(
-    found: Findings,
+    findings: Findings,
     estimate: Uncertainty,
     spec: AnalysisSpec,
     search: Search,
@@ -148,8 +154,8 @@ def _spread(
     if not spec.monte_carlo or estimate.degrees_of_freedom == 0.0:
         return
     held, evaluate = joint
-    with _noted(found, "no Monte Carlo"):
-        found.spread = criteria_spread(
+    with _noted(findings, "no Monte Carlo"):
+        findings.spread = criteria_spread(
             search.problem if held is None else held.problem,
             estimate if held is None else with_held(estimate, held),
             draws=spec.monte_carlo,
@@ -160,16 +166,16 @@ def _spread(
 
 
 @contextmanager
-def _noted(found: Findings, what: str) -> Iterator[None]:
+def _noted(findings: Findings, what: str) -> Iterator[None]:
     try:
         yield
     except (ProblemError, SimulationError) as error:
-        found.warnings.append(f"{what}: {error}")
+        findings.warnings.append(f"{what}: {error}")
 
 
 def _front(search: Search, spec: ParetoSpec, best: Evaluation, record: Record) -> Front:
     """Trace the front in a separate search, to which the stage's stop rules apply anew."""
-    own = Search(
+    traced = Search(
         search.problem,
         search.stop,
         record=lambda evaluation, _, __: record(evaluation, "pareto", False),
@@ -178,4 +184,4 @@ def _front(search: Search, spec: ParetoSpec, best: Evaluation, record: Record) -
         needs_residuals=False,
     )
     each = {"tolerance": 1e-4, "cost_tolerance": 1e-4, "evaluations": _EVALUATIONS * (len(search) + 2)}
-    return trace(own, spec, NloptSolver("cobyla", each), best)
+    return trace(traced, spec, NloptSolver("cobyla", each), best)

@@ -206,7 +206,7 @@ def check_effects(
         try:
             problem = Problem.of_stage(campaign, stage, simulators, runner=runner)
             # First where a worker would report that a model crashes, because growth is examined in this process.
-            found = sensitivity_of(problem)
+            sensitivity = sensitivity_of(problem)
             if stage.segments is None and not stage.observer:
                 longest = {case.setup: case for case in sorted(problem.cases, key=lambda case: np.ptp(case.time))}
                 for case in longest.values():
@@ -237,11 +237,11 @@ def check_effects(
                     'take a shorter step, or extrapolation = "linear"',
                 )
             )
-        for name, row, step in zip(found.names, found.effect, found.steps, strict=True):
+        for name, row, step in zip(sensitivity.names, sensitivity.effect, sensitivity.steps, strict=True):
             strongest = int(np.argmax(row))
-            label, floor = found.labels[strongest], found.floor.residual
+            label, floor = sensitivity.labels[strongest], sensitivity.floor.residual
             effects.append(Effect(stage.name, name, float(row[strongest]), label, float(step), floor))
-        for name in found.dead:
+        for name in sensitivity.dead:
             findings.append(
                 Finding(
                     "error",
@@ -250,13 +250,13 @@ def check_effects(
                     "fix it, or add an experiment that excites it",
                 )
             )
-        alive = [n for n in found.identifiability.undetermined if n not in found.dead]
+        alive = [n for n in sensitivity.identifiability.undetermined if n not in sensitivity.dead]
         if alive:
             findings.append(
                 Finding(
                     "warning",
                     where,
-                    str(found.identifiability),
+                    str(sensitivity.identifiability),
                     "fix one of them, or add an experiment that distinguishes them",
                 )
             )
@@ -330,16 +330,16 @@ def _match_names(campaign: Campaign, simulators: Mapping[str, Simulator]) -> Non
         return [(model, variables) for model, variables in pairs if model.variable(name) in variables]
 
     for name in campaign.settings:
-        found = with_variable(name)
-        for model, variables in found:
+        matches = with_variable(name)
+        for model, variables in matches:
             _settable(model.variable(name), model, variables, f"[settings] '{name}'")
-        if not found:
+        if not matches:
             raise FmuError(f"no FMU has a variable '{name}'", where="[settings]", fix=suggestion(name, settable))
     for spec in campaign.parameters.values():
-        found = with_variable(spec.name)
-        for model, variables in found:
+        matches = with_variable(spec.name)
+        for model, variables in matches:
             _match_parameter(spec, model, variables)
-        if not found and spec.name not in helpers and models:
+        if not matches and spec.name not in helpers and models:
             names = sorted({m.fmu.name for m in models.values()})
             raise FmuError(
                 f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} no variable '{spec.name}'",

@@ -33,15 +33,15 @@ def static_check(campaign: Campaign, simulators: Mapping[str, Simulator]) -> Che
     FmuidError
         Something makes an identification impossible.
     """
-    found = Checked(match_models(campaign, simulators) + check_signals(campaign))
-    if not found.errors:
+    checked = Checked(match_models(campaign, simulators) + check_signals(campaign))
+    if not checked.errors:
         check_stages(campaign, simulators)
-    return found
+    return checked
 
 
 def with_effects(
-    found: Checked, campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner
+    checked: Checked, campaign: Campaign, simulators: Mapping[str, Simulator], runner: Runner
 ) -> Checked:
     """Return a check with the findings of `check_effects`, which simulates on `runner`."""
     findings, effects = check_effects(campaign, simulators, runner)
-    return Checked(found.findings + findings, effects)
+    return Checked(checked.findings + findings, effects)

@@ -79,8 +79,8 @@ def write_identified(
         if source is not None:
             name = f"{source.class_name.rpartition('.')[2]}Identified"
             starts = {n: v.start for n, v in model.variables.items() if v.start is not None}
-            own = {n: v for n, v in values[setup].items() if model.variables[n].causality == "parameter"}
-            modelica[folder / f"{name}.mo"] = short_class(name, source.class_name, own, starts)
+            parameters = {n: v for n, v in values[setup].items() if model.variables[n].causality == "parameter"}
+            modelica[folder / f"{name}.mo"] = short_class(name, source.class_name, parameters, starts)
     for file, text in modelica.items():
         write_atomically(file, text)
     robot = None
@@ -142,10 +142,10 @@ def start_values(
     """Return the start values common to all runs of a setup: settings, initial values, parameters' `values`."""
     model, variables = campaign.models[setup], simulator.variables
     settings = {model.variable(n): v for n, v in campaign.settings.items()}
-    found = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)
+    starts = {n: v for n, v in settings.items() if n in variables} | dict(model.initial)
     for spec in campaign.parameters.values():
         variable = model.variable(spec.name)
         if variable in variables and spec.per == "campaign" and spec.name in values:
             convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
-            found[variable] = convert.factor * values[spec.name] + convert.offset
-    return found
+            starts[variable] = convert.factor * values[spec.name] + convert.offset
+    return starts

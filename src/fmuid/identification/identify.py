@@ -149,14 +149,14 @@ def identify(
         simulators = simulators or _models(campaign)
 
     def posed(step: StageSpec | Problem, best: Mapping[str, float], runner: Runner | None) -> _Posed:
-        found = _posed(step, campaign, simulators or {}, best, runner)
+        original = _posed(step, campaign, simulators or {}, best, runner)
         if solver is not None:
-            found = replace(found, solver=solver, options={})
-        wanted = analyses or found.analyses
+            original = replace(original, solver=solver, options={})
+        wanted = analyses or original.analyses
         return replace(
-            found,
-            options=dict(found.options if options is None else options),
-            stop=stop or found.stop,
+            original,
+            options=dict(original.options if options is None else options),
+            stop=stop or original.stop,
             analyses=replace(wanted, uncertainty=wanted.uncertainty and with_uncertainty),
         )
 
@@ -277,10 +277,10 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
         outcome = _INTERRUPTED
     except SimulationError as error:
         outcome = Outcome(Status.FAILED, str(error))
-    found = Findings()
+    findings = Findings()
     if outcome is not _INTERRUPTED:
         try:
-            found = _findings(run, asked, known, search)
+            findings = _findings(run, asked, known, search)
         except KeyboardInterrupt:
             outcome = _INTERRUPTED
     result = _result(
@@ -291,7 +291,7 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
         outcome=outcome,
         solver=solver,
         why=why,
-        findings=found,
+        findings=findings,
         seconds=clock.perf_counter() - begin,
     )
     if outcome is not _INTERRUPTED:
@@ -303,17 +303,17 @@ def _stage(run: _Run, asked: _Posed, known: Known) -> StageResult:
 def _findings(run: _Run, asked: _Posed, known: Known, search: Search) -> Findings:
     """Return the analyses of the stage's estimate; the runs for them are also recorded."""
     problem = asked.problem
-    found = analyse(
+    findings = analyse(
         search,
         asked.analyses,
         lambda e, why, kept: run.history.record(problem.name, e, why, False, residuals=kept),
         known.held_in(problem, run.specs) if asked.analyses.uncertainty else None,
     )
     if unsure := sorted(n for n in known.unsure if n in problem.space.fixed and problem.sees(n)):
-        found.warnings.append(
+        findings.warnings.append(
             f"treated as exactly known, because they have no standard error: {', '.join(unsure)}"
         )
-    return found
+    return findings
 
 
 def _begun(run: _Run, problem: Problem, solver: Solver, why: str) -> StageResult:
@@ -346,11 +346,11 @@ def _result(
     findings: Findings,
     seconds: float,
 ) -> StageResult:
-    best, found = search.best, findings.uncertainty
+    best, uncertainty = search.best, findings.uncertainty
     values = problem.space.tried(problem.space.start)[0] if best is None else dict(best.parameters)
     values = {name: value for name, value in values.items() if math.isfinite(value)}  # no tie without a value
-    held = _unidentified(run, problem, best) if best is not None and found is not None else ()
-    bounds = {} if best is None else bounds_reached(problem, best, found)
+    held = _unidentified(run, problem, best) if best is not None and uncertainty is not None else ()
+    bounds = {} if best is None else bounds_reached(problem, best, uncertainty)
     estimates = []
     for i, free in enumerate(problem.space.free):
         spec = run.specs.get(without_owner(free.name), free)
@@ -362,15 +362,17 @@ def _result(
                 spec.unit,
                 finite(free.lower),
                 finite(free.upper),
-                None if found is None else found.standard_errors[i],
-                None if found is None else found.intervals[i],
+                None if uncertainty is None else uncertainty.standard_errors[i],
+                None if uncertainty is None else uncertainty.intervals[i],
                 bounds.get(free.name),
                 spec.truth,
                 spec.description,
-                None if found is None or found.standard_errors[i] is None else found.inherited_shares[i],
+                None
+                if uncertainty is None or uncertainty.standard_errors[i] is None
+                else uncertainty.inherited_shares[i],
                 free.scale,
                 tuple(n for n in spec.depends_on if n not in values),
-                _note(free.name, found, held),
+                _note(free.name, uncertainty, held),
             )
         )
     for name in problem.space.ties:
@@ -406,11 +408,11 @@ def _result(
         seconds=seconds,
         starts=tuple(search.starts),
         links=tuple(search.links),
-        uncertainty=found,
+        uncertainty=uncertainty,
         warnings=(
             *problem.findings,
             *_misfit(problem, first, best, outcome),
-            *_warnings(search, estimates, found),
+            *_warnings(search, estimates, uncertainty),
             *(
                 [f"conditional on values that only later stages identify: {shortened(', '.join(held))}"]
                 if held
@@ -425,7 +427,9 @@ def _result(
         front=findings.front,
         posterior=findings.posterior,
         machines=_machines(estimates, problem.space.free),
-        unexplained=() if best is None or found is None else unexplained(problem, best, found.whiteness),
+        unexplained=()
+        if best is None or uncertainty is None
+        else unexplained(problem, best, uncertainty.whiteness),
     )
 
 
@@ -442,13 +446,13 @@ def _unidentified(run: _Run, problem: Problem, best: Evaluation) -> tuple[str, .
     return () if unmoved else tuple(names)
 
 
-def _note(name: str, found: Uncertainty | None, held: Sequence[str]) -> str:
-    if found is None or found.standard_errors[found.names.index(name)] is None:
+def _note(name: str, uncertainty: Uncertainty | None, held: Sequence[str]) -> str:
+    if uncertainty is None or uncertainty.standard_errors[uncertainty.names.index(name)] is None:
         return ""
-    marks = ["robust"] * (name in found.robust)
-    if name in found.few_runs:
-        marks.append("one run" if found.few_runs[name] == 1 else "few runs")
-    marks += ["biased"] * (name in found.biased) + ["conditional"] * bool(held)
+    marks = ["robust"] * (name in uncertainty.robust)
+    if name in uncertainty.few_runs:
+        marks.append("one run" if uncertainty.few_runs[name] == 1 else "few runs")
+    marks += ["biased"] * (name in uncertainty.biased) + ["conditional"] * bool(held)
     return ", ".join(marks)
 
 
@@ -468,23 +472,25 @@ def _machines(estimates: Sequence[Estimate], free: Sequence[ParameterSpec]) -> t
         name, separator, machine = spec.name.partition(SEPARATOR)
         if spec.per == "machine" and separator:
             groups.setdefault(name, {})[machine] = by_name[spec.name]
-    found = []
-    for name, own in groups.items():
-        errors = [e.standard_error for e in own.values() if e.standard_error]
-        if len(own) > 1 and len(errors) == len(own):
-            found.append(machine_spread(name, list(own), [e.value for e in own.values()], errors))
-    return tuple(found)
+    spreads = []
+    for name, of_owner in groups.items():
+        errors = [e.standard_error for e in of_owner.values() if e.standard_error]
+        if len(of_owner) > 1 and len(errors) == len(of_owner):
+            spreads.append(machine_spread(name, list(of_owner), [e.value for e in of_owner.values()], errors))
+    return tuple(spreads)
 
 
-def _warnings(search: Search, estimates: Sequence[Estimate], found: Uncertainty | None) -> tuple[str, ...]:
+def _warnings(search: Search, estimates: Sequence[Estimate], uncertainty: Uncertainty | None) -> tuple[str, ...]:
     warnings = []
-    if found is not None and not found.identifiability.complete:
-        warnings.append(str(found.identifiability))
-    if found is not None and not found.constraints:  # constraints join parameters that the experiments distinguish
-        for i, a in enumerate(found.names):
-            for k, b in enumerate(found.names[:i]):
-                r = found.correlation[i][k]
-                if abs(r) > _ALIKE and not {a, b} & set(found.identifiability.undetermined):
+    if uncertainty is not None and not uncertainty.identifiability.complete:
+        warnings.append(str(uncertainty.identifiability))
+    if (
+        uncertainty is not None and not uncertainty.constraints
+    ):  # constraints join parameters that the experiments distinguish
+        for i, a in enumerate(uncertainty.names):
+            for k, b in enumerate(uncertainty.names[:i]):
+                r = uncertainty.correlation[i][k]
+                if abs(r) > _ALIKE and not {a, b} & set(uncertainty.identifiability.undetermined):
                     warnings.append(f"{b} and {a} are hard to distinguish (correlation {r:+.3f})")
     warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
     if search.at_edge:

@@ -60,17 +60,17 @@ class Unexplained:
 def unexplained(problem: Problem, best: Evaluation, whiteness: Sequence[Whiteness]) -> tuple[Unexplained, ...]:
     """Return the signals of which a fit leaves more than noise; the test for colour needs no repeats."""
     best = best if best.predictions else problem.evaluate(best.x)
-    found, times = [], _times_noise(problem, best)
+    parts, times = [], _times_noise(problem, best)
     for signal in dict.fromkeys(w.signal for w in whiteness):
-        own = [w for w in whiteness if w.signal == signal]
+        of_signal = [w for w in whiteness if w.signal == signal]
         seen = _seen(problem, best, signal)
-        lag_one = sum(w.lag_one * w.samples for w in own) / max(sum(w.samples for w in own), 1)
-        coloured = min(w.p_value for w in own) * len(own) < _PLAINLY and abs(lag_one) > _CORRELATED
+        lag_one = sum(w.lag_one * w.samples for w in of_signal) / max(sum(w.samples for w in of_signal), 1)
+        coloured = min(w.p_value for w in of_signal) * len(of_signal) < _PLAINLY and abs(lag_one) > _CORRELATED
         large = times.get(signal, 0.0) > _TIMES_NOISE
         shown = seen is not None and (seen.unexplained > _SHOWN or times.get(signal, 0.0) > _ABOVE)
         if (coloured or large) and seen is not None and shown:
-            found.append(Unexplained(signal, seen.unexplained, lag_one if coloured else 0.0, times.get(signal)))
-    return tuple(found)
+            parts.append(Unexplained(signal, seen.unexplained, lag_one if coloured else 0.0, times.get(signal)))
+    return tuple(parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
     best = best if best.predictions else problem.evaluate(best.x)
     if first is not None and not first.predictions:
         first = problem.evaluate(first.x)
-    found = []
+    doubtful = []
     times = _times_noise(problem, best)
     for signal in dict.fromkeys(c.signal for case in problem.cases for c in case.channels):
         if times.get(signal, math.inf) <= _TIMES_NOISE:
@@ -110,18 +110,18 @@ def misfit(problem: Problem, first: Evaluation | None, best: Evaluation) -> tupl
             # The start comes first, because a fit distorts the shape towards what it cannot reach.
             units = _units(problem, signal)
             doubts = next((d for d in (_doubt(signal, units, *one) for one in known) if d), [])
-            found += doubts
+            doubtful += doubts
             if not doubts and known[-1][0].unexplained > _LOST and problem.segments == 0:
-                found.append(
+                doubtful.append(
                     f"the fit follows little of {signal}, as in a wrong optimum: try starts = 8, or segments = "
                     '"auto", which restarts the model along the runs'
                 )
     if times and (worst := max(times, key=lambda name: times[name])) and times[worst] > _TIMES_NOISE:
-        found.append(
+        doubtful.append(
             f"the residual of {worst} is {times[worst]:.3g} times its noise: "
             "the model misses something, or holds a wrong value; run fmuid diagnose"
         )
-    return tuple(found)
+    return tuple(doubtful)
 
 
 def _times_noise(problem: Problem, best: Evaluation) -> dict[str, float]:
@@ -159,10 +159,10 @@ def _seen(problem: Problem, evaluation: Evaluation, signal: str) -> _Seen | None
 def _units(problem: Problem, signal: str) -> tuple[str | None, ...]:
     """Return the units of a signal and of the inputs it depends on; one of them may be wrong."""
     seen = [(case, c) for case in problem.cases for c in case.channels if c.signal == signal]
-    own = [c.unit or case.simulator.variables[c.variable].unit for case, c in seen]
+    outputs = [c.unit or case.simulator.variables[c.variable].unit for case, c in seen]
     variables = [case.simulator.variables.get(n) for case, _ in seen for n in case.task.inputs]
     inputs = [None if v is None else v.unit for v in variables]
-    return tuple(dict.fromkeys([*own, *inputs]))
+    return tuple(dict.fromkeys([*outputs, *inputs]))
 
 
 def _measured_in(units: tuple[str | None, ...], known: tuple[str, ...]) -> bool:

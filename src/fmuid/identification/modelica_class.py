@@ -53,14 +53,14 @@ def _modifiers(tree: Mapping[str, Any], depth: int = 1) -> str:
 
 def _scalars_and_arrays(values: Mapping[str, float], starts: Mapping[str, float]) -> dict[str, str | None]:
     """Return the text of each value; None for an array whose elements are not all known."""
-    found: dict[str, str | None] = {}
+    modifiers: dict[str, str | None] = {}
     for variable, value in values.items():
         element = _ELEMENT.fullmatch(variable)
         if element is None:
-            found[variable] = repr(float(value))
-        elif element["name"] not in found:
-            found[element["name"]] = _array(element["name"], {**starts, **values})
-    return found
+            modifiers[variable] = repr(float(value))
+        elif element["name"] not in modifiers:
+            modifiers[element["name"]] = _array(element["name"], {**starts, **values})
+    return modifiers
 
 
 def _array(name: str, known: Mapping[str, float]) -> str | None:

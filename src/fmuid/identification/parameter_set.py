@@ -41,8 +41,8 @@ def parameter_set(
     parameters = ElementTree.SubElement(root, f"{{{_SSV}}}Parameters")
     units: dict[str, dict[str, str]] = {}
     listed: set[str] = set()
-    for setup, own in values.items():
-        for variable, value in own.items():
+    for setup, of_setup in values.items():
+        for variable, value in of_setup.items():
             alike = all(other.get(variable, value) == value for other in values.values())
             model = models[setup]
             fmu, inside, name_inside = _home(model, variable)

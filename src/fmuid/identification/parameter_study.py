@@ -93,17 +93,17 @@ def grid_values(text: str) -> tuple[str, FloatArray]:
         if not (name.strip() and equals):
             raise ValueError
         if span is None:
-            found = np.array([float(v) for v in values.split(",")])
+            grid = np.array([float(v) for v in values.split(",")])
         else:
             low, high, count = float(span[1]), float(span[2]), int(span[3])
             if count < 2 or (span[4] and low <= 0.0):
                 raise ValueError
-            found = np.geomspace(low, high, count) if span[4] else np.linspace(low, high, count)
-        if not np.isfinite(found).all():
+            grid = np.geomspace(low, high, count) if span[4] else np.linspace(low, high, count)
+        if not np.isfinite(grid).all():
             raise ValueError
     except ValueError:
         raise ProblemError(f"'{text}' is not understood", where="--over", fix=fix) from None
-    return name.strip(), found
+    return name.strip(), grid
 
 
 def parameter_study(

@@ -166,10 +166,10 @@ class Rows(Sequence[Row]):
     @property
     def numbers(self) -> dict[bytes, int]:
         """Complete search point, as bytes -> the number of its last row, if possible one with predictions."""
-        found: dict[bytes, int] = {}
+        row_of: dict[bytes, int] = {}
         for k, x in enumerate(self.search):
-            self.prefer(found, self._point(k, x).tobytes(), k)
-        return found
+            self.prefer(row_of, self._point(k, x).tobytes(), k)
+        return row_of
 
     def prefer(self, numbers: dict[bytes, int], point: bytes, number: int) -> None:
         """Enter the number of a point's row, unless that of one with more of its evaluation is known."""

@@ -254,11 +254,11 @@ class Result(Plottable):
         """Return the estimates as a data frame of pandas, polars or pyarrow, one row for each parameter."""
         from fmuid.core.frames import to_frame
 
-        found = self.estimates
+        estimates = self.estimates
         simple = ("name", "value", "unit", "standard_error", "lower", "upper", "start", "truth", "description")
-        columns = {name: [getattr(e, name) for e in found] for name in simple}
+        columns = {name: [getattr(e, name) for e in estimates] for name in simple}
         for k, name in enumerate(("interval_from", "interval_to")):
-            columns[name] = [None if e.interval is None else e.interval[k] for e in found]
+            columns[name] = [None if e.interval is None else e.interval[k] for e in estimates]
         return to_frame(columns, library)
 
     def to_json(self, path: str | Path | None = None) -> str:

@@ -53,7 +53,7 @@ def described(spec: RobotSpec, values: Mapping[str, float]) -> str:
             formula = parse(text, where=f"[robot.joints.{name}] {quantity}")
             element = joints[name]
             if below:
-                found = element.find(below)
-                element = ElementTree.SubElement(element, below) if found is None else found
+                child = element.find(below)
+                element = ElementTree.SubElement(element, below) if child is None else child
             element.set(attribute, f"{formula(values):.9g}")
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

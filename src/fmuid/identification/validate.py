@@ -151,15 +151,15 @@ def validate(
     if not ids:
         raise CampaignError("no runs are kept for validation", where="[roles]", fix="name some in validation")
     chosen = experiments_of(campaign, ids, where="validation")
-    found = result.parameters if isinstance(result, Result) else result
-    own = [n for n in found if not n.startswith("observer[")]
-    unknown = sorted(n for n in own if n.split("@")[0] not in campaign.parameters)
+    estimates = result.parameters if isinstance(result, Result) else result
+    names = [n for n in estimates if not n.startswith("observer[")]
+    unknown = sorted(n for n in names if n.split("@")[0] not in campaign.parameters)
     if unknown:
         raise CampaignError(
             f"parameter '{unknown[0]}' of the result is not in campaign '{campaign.name}'",
             fix="validate on a campaign with the same parameters",
         )
-    values = campaign.start_values | dict(found)
+    values = campaign.start_values | dict(estimates)
     cases = cases_of(campaign, chosen, simulators or load_models(campaign), values)
     scores: list[RunScore] = []
     predictions: list[FloatArray | None] = []
@@ -191,13 +191,13 @@ def cases_of(
     stages = last_stages(campaign)
     cases: list[Case] = []
     for setup, stage in stages.items():
-        own = [run for run in runs if run.setup == setup]
-        found = from_campaign(campaign, own, (), simulators, apart=stage.apart)
+        recorded = [run for run in runs if run.setup == setup]
+        of_setup = from_campaign(campaign, recorded, (), simulators, apart=stage.apart)
         if stage.segments is not None:
-            found = tuple(segmented(case, stage.segments, values) for case in found)
+            of_setup = tuple(segmented(case, stage.segments, values) for case in of_setup)
         if stage.observer:
-            found = observed(found, stage.observer, values)[0]
-        cases += found
+            of_setup = observed(of_setup, stage.observer, values)[0]
+        cases += of_setup
     rest = [run for run in runs if run.setup not in stages]
     cases += from_campaign(campaign, rest, (), simulators)
     order = {run.id: k for k, run in enumerate(runs)}

@@ -114,9 +114,9 @@ def first_choice(
     steps, done = len(seen) * len(tried), itertools.count()
     tell = None if progress is None else lambda: progress(next(done) / steps)
     every = [one.effects(tried, tell) for one in seen]
-    names = [v.name for v in tried if all(v.name in own for own in every)]
+    names = [v.name for v in tried if all(v.name in of_run for of_run in every)]
     changes = {v.name: plausible_change(v) for v in tried}
-    effects = {n: np.concatenate([changes[n] * own[n].ravel() for own in every]) for n in names}
+    effects = {n: np.concatenate([changes[n] * of_run[n].ravel() for of_run in every]) for n in names}
     drawn = {v.name for v in tried if is_drawn(v)}
     free = tuple(model.variables[n] for n in independent_columns(effects, last=drawn))
     held: dict[str, list[Variable]] = {r: [] for r in (EXPLAINED, CONSTRUCTION)}
@@ -166,11 +166,11 @@ def dependence(free: Mapping[str, FloatArray], held: Mapping[str, FloatArray]) -
         return {}
     columns = np.stack(list(free.values()), axis=1)
     shares = np.linalg.lstsq(columns, np.stack(list(held.values()), axis=1), rcond=None)[0]
-    found = {
+    others_of = {
         name: tuple(other for other, share in zip(held, row, strict=True) if abs(share) > _DEPENDS)
         for name, row in zip(free, shares, strict=True)
     }
-    return {name: others for name, others in found.items() if others}
+    return {name: others for name, others in others_of.items() if others}
 
 
 def solver_error(
@@ -195,8 +195,8 @@ def runs_away(model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str
         whole = in_segments(model, max(runs, key=lambda run: float(np.ptp(run.time))), mapping)
     except ProblemError:  # a model that cannot be started anywhere
         return None
-    found = open_loop(whole)
-    return found if found is not None and found.runs_away else None
+    growth = open_loop(whole)
+    return growth if growth is not None and growth.runs_away else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,8 +224,8 @@ def restarts(
     """Return how runs start if not as the model says, and a line on it or on why the model cannot follow."""
     away = runs_away(model, runs, mapping)
     if away is not None:
-        found = Restarts("auto", str(away))
-        return found, (str(found),)
+        chosen = Restarts("auto", str(away))
+        return chosen, (str(chosen),)
     elsewhere = starts_elsewhere(model, runs, mapping, runner)
     if elsewhere is None:
         return None, ()
@@ -235,8 +235,8 @@ def restarts(
         return None, (f"the model cannot start as the runs do: {elsewhere}, but {error.what}",)
     if not start_lasts(model, runs[0], mapping):
         return None, ()
-    found = Restarts(math.inf, elsewhere)
-    return found, (str(found),)
+    chosen = Restarts(math.inf, elsewhere)
+    return chosen, (str(chosen),)
 
 
 def start_lasts(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -> bool:
@@ -284,13 +284,13 @@ def independent_columns(columns: Mapping[str, FloatArray], last: Collection[str]
 
     Names in `last` come last, whatever their size.
     """
-    own = {n: float(np.linalg.norm(c)) for n, c in columns.items()}
-    least = _LEAST_EFFECT * max(own.values(), default=0.0)
+    norms = {n: float(np.linalg.norm(c)) for n, c in columns.items()}
+    least = _LEAST_EFFECT * max(norms.values(), default=0.0)
     left, chosen = dict(columns), list[str]()
     for group in ([n for n in columns if n not in last], [n for n in columns if n in last]):
         while True:
             lengths = {n: float(np.linalg.norm(left[n])) for n in group if n not in chosen}
-            new = {n: x for n, x in lengths.items() if x > max(least, _LEAST_NEW * own[n])}
+            new = {n: x for n, x in lengths.items() if x > max(least, _LEAST_NEW * norms[n])}
             if not new:
                 break
             # Of two redundant parameters, equal parts remain; then the first is chosen.

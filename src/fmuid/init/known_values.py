@@ -74,10 +74,10 @@ class ModelText:
 
     def only_smooths(self, name: str) -> bool:
         """Return whether a parameter is only used to scale the argument of tanh, atan or erf."""
-        own = re.escape(name)
-        declared = len(re.findall(rf"\bparameter\b[^;]*?\b{own}\b(?=\s*(?:\(|=|;))", self._text))
-        uses = len(re.findall(rf"\b{own}\b", self._text)) - declared
-        inside = rf"\b(?:tanh|atan|erf)\s*\((?:[^();]|\([^();]*\))*/\s*{own}\b"
+        word = re.escape(name)
+        declared = len(re.findall(rf"\bparameter\b[^;]*?\b{word}\b(?=\s*(?:\(|=|;))", self._text))
+        uses = len(re.findall(rf"\b{word}\b", self._text)) - declared
+        inside = rf"\b(?:tanh|atan|erf)\s*\((?:[^();]|\([^();]*\))*/\s*{word}\b"
         return uses > 0 and len(re.findall(inside, self._text)) == uses
 
 
@@ -163,7 +163,7 @@ def _is(parameter: Variable, value: float, unit: str, tolerance: float) -> bool:
 
 
 def _files(source: ModelSource) -> list[Path]:
-    own = source.file.parent.rglob("*.mo") if source.file.name == "package.mo" else [source.file]
+    files = source.file.parent.rglob("*.mo") if source.file.name == "package.mo" else [source.file]
     places = (place for root in source.roots for place in root.iterdir() if not _STANDARD.match(place.name))
     library = [path for place in places for path in ([place] if place.suffix == ".mo" else place.rglob("*.mo"))]
-    return [path for path in (*own, *library) if path.is_file()]
+    return [path for path in (*files, *library) if path.is_file()]

@@ -54,7 +54,7 @@ def not_looked_for(
     runner
         Runner of the simulations; this process by default.
     """
-    found: list[NotLookedFor] = []
+    notes: list[NotLookedFor] = []
     for setup, spec in campaign.models.items():
         runs = [run for run in campaign.measurements if run.setup == setup]
         if not runs:
@@ -63,10 +63,10 @@ def not_looked_for(
         if spec.source is not None:
             from fmuid.simulation.model_source import flat_model  # slow to import
 
-            found += inside(flat_model(spec.source))
+            notes += inside(flat_model(spec.source))
         (case, *_) = from_campaign(campaign, runs[:1], (), {setup: simulator})
-        found += _signs(case, campaign, runner)
-    return tuple(dict.fromkeys(found))
+        notes += _signs(case, campaign, runner)
+    return tuple(dict.fromkeys(notes))
 
 
 def inside(flat: FlatModel) -> list[NotLookedFor]:
@@ -93,17 +93,17 @@ def _signs(case: Case, campaign: Campaign, runner: Runner) -> list[NotLookedFor]
         predicted = case.sensed(outcome, campaign.start_values)
     except FmuidError:
         return []
-    found = []
+    notes = []
     for channel, y in zip(case.channels, predicted, strict=True):
         measured = channel.mean[np.isfinite(channel.mean)]
         largest, range_ = float(np.max(np.abs(measured), initial=0.0)), float(np.max(np.abs(y), initial=0.0))
         one_sided = measured.size > 0 and float(np.min(measured)) >= -_ONE_SIDED * largest
         if one_sided and float(np.min(y)) < -_BOTH_SIDES * range_ and float(np.max(y)) > _BOTH_SIDES * range_:
-            found.append(
+            notes.append(
                 NotLookedFor(
                     f"the sign of {channel.signal}",
                     "it never changes in the log, but does in the model",
                     f"if the sensor shows an absolute value, let the model's output be abs({channel.variable})",
                 )
             )
-    return found
+    return notes

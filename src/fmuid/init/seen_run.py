@@ -49,8 +49,8 @@ class SeenRun:
         self._model, self._task, self._measured, self._runner = model, task, measured, runner
         self._values = values or {}
         self.nominal = simulated(runner, model, task, self._values)
-        own = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
-        self.scale = own if scale is None else scale
+        spans = np.maximum(np.ptp(self.nominal, axis=1, keepdims=True), 1e-12)
+        self.scale = spans if scale is None else scale
 
     def at_bound(self, parameter: Variable) -> bool:
         """Return whether a parameter has reached its guessed bounds, which are wide enough for most."""
@@ -105,25 +105,25 @@ class SeenRun:
         every parameter.
         """
         exact = [v for v in parameters if self._model.differentiates([v.name])]
-        found: dict[str, FloatArray] = {}
+        effects: dict[str, FloatArray] = {}
         if exact:
             along = tuple({v.name: self._value(v)} for v in exact)
             with suppress(SimulationError):
                 rows = simulated(self._runner, self._model, replace(self._task, along=along), self._values)
                 slopes = np.split(rows, len(exact) + 1)[1:]
-                found = {v.name: slope / self.scale for v, slope in zip(exact, slopes, strict=True)}
+                effects = {v.name: slope / self.scale for v, slope in zip(exact, slopes, strict=True)}
         for parameter in parameters:
             if tell is not None:
                 tell()
-            if parameter.name not in found:
+            if parameter.name not in effects:
                 with suppress(FmuidError):
-                    found[parameter.name] = self._difference(parameter)
-        return found
+                    effects[parameter.name] = self._difference(parameter)
+        return effects
 
     def _difference(self, parameter: Variable) -> FloatArray:
-        own = self._value(parameter)
+        value = self._value(parameter)
         above, below = (
-            simulated(self._runner, self._model, self._task, {**self._values, parameter.name: own * factor})
+            simulated(self._runner, self._model, self._task, {**self._values, parameter.name: value * factor})
             for factor in (1 + _STEP, 1 - _STEP)
         )
         return np.asarray((above - below) / self.scale / (2 * _STEP))
@@ -136,7 +136,7 @@ class SeenRun:
 
         def at(x: FloatArray) -> SeenRun | None:
             if x.tobytes() not in tried:
-                values = {v.name: self._value(v) * np.exp(own) for v, own in zip(free, x, strict=True)}
+                values = {v.name: self._value(v) * np.exp(step) for v, step in zip(free, x, strict=True)}
                 try:
                     tried[x.tobytes()] = self._at(values)
                 except SimulationError:
@@ -192,11 +192,11 @@ def ports_of(
     model: Simulator, run: Experiment, mapping: Mapping[str, str]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Return the (N,) inputs and measured outputs of a run by the model's variables, in their units."""
-    found: tuple[dict[str, FloatArray], dict[str, FloatArray]] = {}, {}
+    ports: tuple[dict[str, FloatArray], dict[str, FloatArray]] = {}, {}
     for name, signal in run.signals.items():
         port = model.variables[mapping.get(name, name)]
-        found[signal.causality == "output"][port.name] = conversion(signal.unit, port.unit)(signal.values)
-    return found
+        ports[signal.causality == "output"][port.name] = conversion(signal.unit, port.unit)(signal.values)
+    return ports
 
 
 def seen_run(

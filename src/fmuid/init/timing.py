@@ -96,19 +96,19 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
         Parameters to refit.
     """
     held = [one.refitted(free) for one in seen]
-    found = [Convention("held")]
+    conventions = [Convention("held")]
     for convention in (Convention("linear"), *_read_after(held)):
         try:
             tried = [timed(one, convention) for one in seen]
             if all(np.array_equal(a.nominal, b.nominal) for a, b in zip(seen, tried, strict=True)):
                 continue
             refits = [one.refitted(free) for one in tried]
-            found.append(_judged(convention, held, refits, free))
-            if convention.timing == "linear" and found[-1].explains and all(map(_band_limited, seen)):
-                found += _nearer_than(found[-1], held, refits, free)
+            conventions.append(_judged(convention, held, refits, free))
+            if convention.timing == "linear" and conventions[-1].explains and all(map(_band_limited, seen)):
+                conventions += _nearer_than(conventions[-1], held, refits, free)
         except FmuidError:
             continue  # an FMU that does not interpolate its inputs
-    return tuple(sorted(found, key=lambda c: (not c.explains and c.timing != "held", -c.evidence)))
+    return tuple(sorted(conventions, key=lambda c: (not c.explains and c.timing != "held", -c.evidence)))
 
 
 def _judged(
@@ -176,8 +176,8 @@ def conventions_of(
         measured = np.array([channel.mean for channel in case.channels])
         task = replace(case.task, interpolation="hold", linear=(), band_limited=(), after=())
         seen.append(SeenRun(model, task, measured, runner, values=case.start_values(values)))
-    own = {variable for n, (variable, _) in plain[0].setting.items() if n in names}
-    free = [v for v in model.variables.values() if v.name in own and v.start]
+    variables = {variable for n, (variable, _) in plain[0].setting.items() if n in names}
+    free = [v for v in model.variables.values() if v.name in variables and v.start]
     return timing_conventions(seen, free)
 
 
@@ -193,7 +193,7 @@ def lost_rows(fits: Sequence[SeenRun], names: Sequence[str]) -> tuple[LostRow, .
     `fits` are refitted runs. A log that counts rows instead of reading a clock is too early from there on. Outputs
     that follow the logged inputs at once do not show it.
     """
-    found = []
+    lost = []
     for name, fitted in zip(names, fits, strict=True):
         stored = _stored(fitted)
         if not stored.any():
@@ -201,8 +201,8 @@ def lost_rows(fits: Sequence[SeenRun], names: Sequence[str]) -> tuple[LostRow, .
         changes, moves = (np.diff(rows[stored], axis=1) for rows in (fitted.errors, fitted.response))
         sample, evidence = _most_likely_gap(changes, moves)
         if evidence > _SURE:
-            found.append(LostRow(name, sample, float(fitted.time[sample]), evidence))
-    return tuple(found)
+            lost.append(LostRow(name, sample, float(fitted.time[sample]), evidence))
+    return tuple(lost)
 
 
 def _stored(run: SeenRun) -> NDArray[np.bool_]:
@@ -249,8 +249,8 @@ def _read_after(held: Sequence[SeenRun]) -> list[Convention]:
     better = ~same & (after < _CLEARLY * before)
     if not better.any():
         return []
-    own: dict[str, Timing] = {n: "held" for n, b, s in zip(outputs, better, same, strict=True) if not (b or s)}
-    return [Convention("held-read-after", own)]
+    timings: dict[str, Timing] = {n: "held" for n, b, s in zip(outputs, better, same, strict=True) if not (b or s)}
+    return [Convention("held-read-after", timings)]
 
 
 def timed(run: SeenRun, convention: Convention) -> SeenRun:

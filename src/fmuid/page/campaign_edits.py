@@ -128,14 +128,14 @@ class CampaignFile:
 
     def reasons(self) -> dict[str, str]:
         """Return why `fmuid init` fixed a parameter, from the comments above the tables that it commented out."""
-        found: dict[str, str] = {}
+        reasons: dict[str, str] = {}
         reason = ""
         for line in self.text.split("\n"):
             if match := _REASON.match(line):
                 reason = match[1]
             elif match := re.match(r'^# \[parameters\."?([^"\]]+)"?\]', line):
-                found[match[1]] = reason
-        return found
+                reasons[match[1]] = reason
+        return reasons
 
     def undo(self) -> bool:
         """Return to the text before the last edit; return whether there was one."""

@@ -73,16 +73,16 @@ def of_corrected(folder: Path, workspace: Workspace) -> Workspace:
 
 def neutral_values(campaign: Campaign) -> dict[str, float]:
     """Return the parameters of effects that the models include, at the values at which the effects vanish."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for model in campaign.models.values():
         if model.source is not None and model.source.effects is not None:
             for effect in load_catalogue(model.source.effects).effects.values():
-                found |= {n: v for n, v in effect.neutral.items() if n in campaign.parameters}
+                values |= {n: v for n, v in effect.neutral.items() if n in campaign.parameters}
         for name in campaign.parameters:
             signal = signal_and_property(name)
             if signal is not None and any(name in e for e in model.signal_effects):
-                found[name] = 1.0 if signal[1] == "gain" else 0.0
-    return found
+                values[name] = 1.0 if signal[1] == "gain" else 0.0
+    return values
 
 
 def in_log_units(overlay: Overlay, unit: str) -> Overlay:

@@ -83,7 +83,7 @@ def place_of(where: str) -> tuple[Kind, str]:
 
 def by_place(messages: Iterable[Message]) -> Mapping[tuple[Kind, str], list[Message]]:
     """Return messages by the part of the campaign that they are about."""
-    found: dict[tuple[Kind, str], list[Message]] = {}
+    placed: dict[tuple[Kind, str], list[Message]] = {}
     for message in messages:
-        found.setdefault((message.kind, message.name), []).append(message)
-    return found
+        placed.setdefault((message.kind, message.name), []).append(message)
+    return placed

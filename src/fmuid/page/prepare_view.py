@@ -255,10 +255,10 @@ class PrepareView:
             choice.show(current.get(column.name, now))
             if timing is not None:
                 timing.show(self._work.signal_timing(column.name))
-            own = messages.get(("signal", column.name), [])
+            of_column = messages.get(("signal", column.name), [])
             if not current.get(column.name):
-                own = [m for m in own if m.level != "note"]
-            notes.show(own)
+                of_column = [m for m in of_column if m.level != "note"]
+            notes.show(of_column)
 
         self._updates.append(update)
 

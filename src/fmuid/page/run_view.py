@@ -262,16 +262,17 @@ class RunView:
         ]
         try:
             cases = self._work.cases([self._run])
-            found: list[tuple[str, Role, list[Any]]] = []
+            simulations: list[tuple[str, Role, list[Any]]] = []
             for label, role, values in versions:
                 outcome = await run.io_bound(predicted, cases, values, self._work.runner)
-                found.append((label, role, list(outcome or [])))
+                simulations.append((label, role, list(outcome or [])))
         except (FmuidError, KeyError):  # the campaign has other parameters by now
             return []
         drawn: list[Figure] = []
         for k, case in enumerate(cases):
             lines: list[tuple[str, Role, FloatArray | None]] = [
-                (label, role, None if isinstance(all_[k], FmuidError) else all_[k]) for label, role, all_ in found
+                (label, role, None if isinstance(all_[k], FmuidError) else all_[k])
+                for label, role, all_ in simulations
             ]
             signals = self._work.measurements[case.experiments[0]].signals
             for overlay in overlays(None, case, lines):

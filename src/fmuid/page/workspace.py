@@ -159,12 +159,12 @@ class Workspace:
         self._effects_begun = True  # until something changes, whichever window asks
         version = self.version
         try:
-            found = with_effects(self.checked, self.campaign, self.models, self.runner)
-            messages = tuple(Message.of_finding(finding) for finding in found.findings)
+            checked = with_effects(self.checked, self.campaign, self.models, self.runner)
+            messages = tuple(Message.of_finding(finding) for finding in checked.findings)
         except FmuidError as error:
-            found, messages = self.checked, (*self.messages, Message.of_error(error))
+            checked, messages = self.checked, (*self.messages, Message.of_error(error))
         if version == self.version:
-            self.checked, self.messages, self.effects_known = found, messages, True
+            self.checked, self.messages, self.effects_known = checked, messages, True
             self.version += 1
 
     def edit(self, change: Callable[[CampaignFile], object]) -> None:
@@ -199,19 +199,19 @@ class Workspace:
         """Return the columns of a run: those that were recorded, then those of its log that are not used."""
         experiment = self.measurements[run]
         variables = self.variables(experiment.setup)
-        found = []
+        columns = []
         for signal in experiment.signals.values():
             variable = self._map(experiment.setup).get(signal.name, signal.name)
             used = variable if variable in variables or not self.models else None
-            found.append(Column(signal.name, signal.unit, used, experiment.time, signal.values))
+            columns.append(Column(signal.name, signal.unit, used, experiment.time, signal.values))
         if log := self._log(run):
             table = log.table
-            found += [
+            columns += [
                 Column(name, table.units.get(name, ""), None, table.time, values)
                 for name, values in table.columns.items()
                 if name not in experiment.signals
             ]
-        return found
+        return columns
 
     def connect(self, column: str, variable: str | None, setup: str) -> None:
         """Connect a column with a variable of the model, or with none.
@@ -414,7 +414,7 @@ class Workspace:
         """Return time and simulation at the start values by column, in the log's units; empty if it fails."""
         if self.campaign is None:
             return {}
-        found: dict[str, tuple[FloatArray, FloatArray]] = {}
+        curves: dict[str, tuple[FloatArray, FloatArray]] = {}
         try:
             cases = self.cases([run])
             outcomes = predicted(cases, self.campaign.start_values, self.runner)
@@ -425,8 +425,8 @@ class Workspace:
                 continue
             for channel, values in zip(case.channels, outcome, strict=True):
                 unit = self.measurements[run].signals[channel.signal].unit
-                found[channel.signal] = case.time, conversion(channel.unit or "1", unit)(values)
-        return found
+                curves[channel.signal] = case.time, conversion(channel.unit or "1", unit)(values)
+        return curves
 
     def _map(self, setup: str) -> dict[str, str]:
         model = self.file.tables.get("models", {}).get(setup, {})

@@ -32,8 +32,8 @@ class _TorqueDriven:
 
     def __init__(self, p: Values) -> None:
         self.p = dict(p)
-        own = p["m"] * (p["l"] ** 2 + p["r_g"] ** 2) + p["m_a"] * p["l"] ** 2 / 3.0
-        self.inertia = own + p["n"] ** 2 * p["J_R"]
+        arm = p["m"] * (p["l"] ** 2 + p["r_g"] ** 2) + p["m_a"] * p["l"] ** 2 / 3.0
+        self.inertia = arm + p["n"] ** 2 * p["J_R"]
         self.mgl = (p["m"] + p["m_a"] / 2.0) * GRAVITY * p["l"]
 
     def start(self) -> list[float]:

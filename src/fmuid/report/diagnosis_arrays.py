@@ -37,7 +37,7 @@ _SAME = 1e-6  # share of their range by which two variables differ that are one
 _PRIOR = 1.0 / 30.0  # an ordinate that no signal shows stays within thirty magnitudes of zero
 
 
-def pictures_of(found: Found, corrected: Prediction | None = None) -> DiagnosisPictures:
+def pictures_of(outcome: Found, corrected: Prediction | None = None) -> DiagnosisPictures:
     """Return the arrays behind the figures of a diagnosis; simulates the campaign about sixty times.
 
     `corrected` is the prediction of a model with a law or a table that is in no answer.
@@ -47,44 +47,44 @@ def pictures_of(found: Found, corrected: Prediction | None = None) -> DiagnosisP
     SimulationError
         The refitted nominal model cannot be simulated.
     """
-    models = found.surviving
-    nominal, *with_effects = found.subject.model.predict(
-        [found.nominal.fit.values, *(m.fit.values for m in models)]
+    models = outcome.surviving
+    nominal, *with_effects = outcome.subject.model.predict(
+        [outcome.nominal.fit.values, *(m.fit.values for m in models)]
     )
     if isinstance(nominal, SimulationError):
         raise nominal
     laws = {
-        " + ".join(model.effects): outcome
-        for model, outcome in zip(models, with_effects, strict=True)
-        if not isinstance(outcome, SimulationError)
+        " + ".join(model.effects): prediction
+        for model, prediction in zip(models, with_effects, strict=True)
+        if not isinstance(prediction, SimulationError)
     }
     after = next(iter(laws.values()), None) if corrected is None else corrected
-    missing = _coefficients(found) or _curves(found) or _missing(found, nominal, laws)
-    return DiagnosisPictures(_overlays(found, nominal, after), _excess(found), missing, _steps(found))
+    missing = _coefficients(outcome) or _curves(outcome) or _missing(outcome, nominal, laws)
+    return DiagnosisPictures(_overlays(outcome, nominal, after), _excess(outcome), missing, _steps(outcome))
 
 
-def _steps(found: Found) -> dict[str, float]:
+def _steps(outcome: Found) -> dict[str, float]:
     """Return the gaps that the first effects of the verdict leave without the later ones."""
-    if found.best is None:
+    if outcome.best is None:
         return {}
-    parts = [found.best.effects[:k] for k in range(1, len(found.best.effects))]
-    return {" + ".join(c.effects): c.gap for part in parts for c in found.candidates if c.effects == part}
+    parts = [outcome.best.effects[:k] for k in range(1, len(outcome.best.effects))]
+    return {" + ".join(c.effects): c.gap for part in parts for c in outcome.candidates if c.effects == part}
 
 
-def _overlays(found: Found, before: Prediction, after: Prediction | None) -> tuple[Overlay, ...]:
+def _overlays(outcome: Found, before: Prediction, after: Prediction | None) -> tuple[Overlay, ...]:
     """Return the signal with the most excess energy of each setup."""
-    cases = {case.id: case for case in found.subject.model.cases}
-    runs = {run.id: k for k, run in enumerate(found.subject.observed.runs)}
+    cases = {case.id: case for case in outcome.subject.model.cases}
+    runs = {run.id: k for k, run in enumerate(outcome.subject.observed.runs)}
     overlays: dict[str, Overlay] = {}
-    for row in np.argsort(-found.excess.energy):
-        experiment, signal = found.excess.rows[row]
+    for row in np.argsort(-outcome.excess.energy):
+        experiment, signal = outcome.excess.rows[row]
         index = runs[experiment]
-        run = found.subject.observed.runs[index]
+        run = outcome.subject.observed.runs[index]
         if run.setup in overlays:
             continue
         c = run.channels.index(signal)
         measured = np.where(run.mask[c] > 0, run.mean[c], np.nan)
-        sigma = found.subject.observed.noise[run.setup].sigma[signal]
+        sigma = outcome.subject.observed.noise[run.setup].sigma[signal]
         channel = cases[experiment].channels[c]
         convert = channel.to_shown
         lines: list[tuple[str, Role, FloatArray]] = [("nominal, refitted", "before", convert(before[index][c]))]
@@ -103,23 +103,23 @@ def _overlays(found: Found, before: Prediction, after: Prediction | None) -> tup
     return tuple(overlays.values())
 
 
-def _excess(found: Found) -> ExcessEnergy | None:
-    energy = found.excess
+def _excess(outcome: Found) -> ExcessEnergy | None:
+    energy = outcome.excess
     total = float(energy.energy.sum())
     if total <= 0.0:
         return None
-    regimes = found.subject.catalogue.regimes
+    regimes = outcome.subject.catalogue.regimes
     axes = {r.name: Axis(r.name, r.unit) for r in regimes.values()} | {"time": Axis("time", "s")}
     bins = tuple(RegimeBins(axes.get(name, Axis(name)), edges) for name, edges in energy.edges.items())
     share = np.hstack([energy.binned[name] for name in energy.edges]) * energy.energy[:, None] / total
     return ExcessEnergy(energy.rows, bins, share)
 
 
-def _coefficients(found: Found) -> tuple[MissingQuantity, ...]:
+def _coefficients(outcome: Found) -> tuple[MissingQuantity, ...]:
     """Return the coefficients that vary in the best answer, over what they depend on."""
-    best = found.surviving[0] if found.surviving else None
-    effects = [e for e in found.subject.effects if best is not None and e.id in best.effects]
-    courses = [course_of(found.subject, e, best.fit.values) for e in effects] if best is not None else []
+    best = outcome.surviving[0] if outcome.surviving else None
+    effects = [e for e in outcome.subject.effects if best is not None and e.id in best.effects]
+    courses = [course_of(outcome.subject, e, best.fit.values) for e in effects] if best is not None else []
     return tuple(
         MissingQuantity(
             Axis(c.over, c.over_unit),
@@ -131,18 +131,18 @@ def _coefficients(found: Found) -> tuple[MissingQuantity, ...]:
     )
 
 
-def _curves(found: Found) -> tuple[MissingQuantity, ...]:
+def _curves(outcome: Found) -> tuple[MissingQuantity, ...]:
     """Return the laws of the best answer as curves, with what the measurements say about them.
 
     A curve is the law plus a free function of its variable, fitted to the residual of the corrected model: a
     partial-residual
     plot (Larsen and McCleary 1972). Empty unless every law is a function of one variable.
     """
-    best, catalogue = found.surviving[0] if found.surviving else None, found.subject.catalogue
+    best, catalogue = outcome.surviving[0] if outcome.surviving else None, outcome.subject.catalogue
     if best is None:
         return ()
-    (after,) = found.subject.model.predict([best.fit.values])
-    effects = [e for e in found.subject.effects if e.id in best.effects]
+    (after,) = outcome.subject.model.predict([best.fit.values])
+    effects = [e for e in outcome.subject.effects if e.id in best.effects]
     laws = [_law(e, best.fit.values, catalogue.regimes) for e in effects]
     if isinstance(after, SimulationError):
         return ()
@@ -152,13 +152,13 @@ def _curves(found: Found) -> tuple[MissingQuantity, ...]:
         if law is None or port is None or port.input is None:
             return ()
         regime, value = law
-        path = trajectories(found.subject.model, best.fit.values, {regime.name: regime})[regime.name]
+        path = trajectories(outcome.subject.model, best.fit.values, {regime.name: regime})[regime.name]
         turns = np.linspace(0.0, 2 * np.pi, _CURVE)
         if regime.kind == "angle" and np.allclose(value(turns), value(turns + 2 * np.pi)):
             path = tuple(p % (2 * np.pi) for p in path)
         knots = quantile_knots(path, _CURVE_KNOTS)
-        columns = [k for k, u in enumerate(best.fit.unknowns) if u in found.subject.nominal]
-        solved = _ordinates(found, port, hats(path, knots), after, fit=best.fit, columns=columns)
+        columns = [k for k, u in enumerate(best.fit.unknowns) if u in outcome.subject.nominal]
+        solved = _ordinates(outcome, port, hats(path, knots), after, fit=best.fit, columns=columns)
         if solved is None:
             return ()
         values, errors, _, _ = solved
@@ -180,36 +180,36 @@ def _law(
         formula = parse_modelica(effect.expression)
     except ProblemError:  # it has an `if`, or depends on a derivative
         return None
-    own = {u.name: np.asarray(values[u.name]) for u in effect.unknowns}
-    names = sorted(formula.names - own.keys())
-    found = [f"{effect.port} {word}" for name in names for word in words_of(name)]
+    sizes = {u.name: np.asarray(values[u.name]) for u in effect.unknowns}
+    names = sorted(formula.names - sizes.keys())
+    words = [f"{effect.port} {word}" for name in names for word in words_of(name)]
     at_state = (r.name for r in regimes.values() if r.variable in names)  # laws there use the FMU's names
-    regime = next((regimes[name] for name in (*found, *at_state) if name in regimes), None)
+    regime = next((regimes[name] for name in (*words, *at_state) if name in regimes), None)
     if len(names) != 1 or regime is None:
         return None
-    return regime, lambda x: formula.of_samples({names[0]: x, **own}) * np.ones_like(x)
+    return regime, lambda x: formula.of_samples({names[0]: x, **sizes}) * np.ones_like(x)
 
 
-def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) -> tuple[MissingQuantity, ...]:
+def _missing(outcome: Found, nominal: Prediction, laws: Mapping[str, Prediction]) -> tuple[MissingQuantity, ...]:
     """Return the contribution that a free function of each regime variable has to make at the verdict's port.
 
     A law is drawn as the free function that moves the nominal model in the same way as its effects.
     """
-    place = found.diagnosis.verdict.ports[:1]
-    port = found.subject.catalogue.ports.get("".join(place))
+    place = outcome.diagnosis.verdict.ports[:1]
+    port = outcome.subject.catalogue.ports.get("".join(place))
     if port is None or port.input is None:
         return ()
     quantity = Axis(f"missing at {port.name}", port.unit)
     missing = []
-    of_port = [r for r in found.subject.catalogue.regimes.values() if not r.ports or port.name in r.ports]
+    of_port = [r for r in outcome.subject.catalogue.regimes.values() if not r.ports or port.name in r.ports]
     for k, regime in enumerate(of_port):
-        if any(_alike(regime, other, found.paths) for other in of_port[:k]):
+        if any(_alike(regime, other, outcome.paths) for other in of_port[:k]):
             continue
-        parts = _parts(found, regime)
-        basis = tuple(b for _, _, own in parts for b in own)
-        columns = range(len(found.nominal.fit.unknowns))
+        parts = _parts(outcome, regime)
+        basis = tuple(b for _, _, of_basis in parts for b in of_basis)
+        columns = range(len(outcome.nominal.fit.unknowns))
         solved = _ordinates(
-            found, port, basis, nominal, fit=found.nominal.fit, columns=columns, laws=list(laws.values())
+            outcome, port, basis, nominal, fit=outcome.nominal.fit, columns=columns, laws=list(laws.values())
         )
         if solved is None:
             continue
@@ -217,9 +217,9 @@ def _missing(found: Found, nominal: Prediction, laws: Mapping[str, Prediction]) 
         ends = np.cumsum([len(knots) for _, knots, _ in parts])
         branches = []
         for (direction, knots, _), end in zip(parts, ends, strict=True):
-            own = slice(end - len(knots), end)
-            named = tuple((name, knots, line[own]) for name, line in zip(laws, lines, strict=True))
-            branches.append(Branch(knots, values[own], errors[own], named, direction))
+            of_basis = slice(end - len(knots), end)
+            named = tuple((name, knots, line[of_basis]) for name, line in zip(laws, lines, strict=True))
+            branches.append(Branch(knots, values[of_basis], errors[of_basis], named, direction))
         missing.append(MissingQuantity(Axis(regime.name, regime.unit), quantity, tuple(branches), explained))
     return tuple(sorted(missing, key=lambda m: -(m.explained or 0.0)))[:_PANELS]
 
@@ -228,17 +228,17 @@ def _alike(regime: Regime, other: Regime, paths: Mapping[str, Sequence[FloatArra
     """Return whether two variables are one, as the positions on both sides of a rigid connection are."""
     if regime.kind != other.kind:
         return False
-    own, others = (path - path.mean() for path in (np.concatenate(paths[r.name]) for r in (regime, other)))
-    size = max(np.abs(own).max(), np.abs(others).max())
-    return bool(np.abs(own - others).max() <= _SAME * size)
+    path_of, others = (path - path.mean() for path in (np.concatenate(paths[r.name]) for r in (regime, other)))
+    size = max(np.abs(path_of).max(), np.abs(others).max())
+    return bool(np.abs(path_of - others).max() <= _SAME * size)
 
 
-def _parts(found: Found, regime: Regime) -> list[tuple[str, FloatArray, Basis]]:
+def _parts(outcome: Found, regime: Regime) -> list[tuple[str, FloatArray, Basis]]:
     """Return piecewise-linear functions of a regime and their knots, for each direction if it goes both ways."""
-    path = folded(found.paths, found.subject.catalogue.regimes)[regime.name]
-    speed = next((r.name for r in found.subject.catalogue.regimes.values() if r.kind == "speed"), None)
+    path = folded(outcome.paths, outcome.subject.catalogue.regimes)[regime.name]
+    speed = next((r.name for r in outcome.subject.catalogue.regimes.values() if r.kind == "speed"), None)
     if regime.kind != "speed" and speed is not None:
-        forward = [w > 0.0 for w in found.paths[speed]]
+        forward = [w > 0.0 for w in outcome.paths[speed]]
         share = np.mean(np.concatenate(forward))
         if _ONE_WAY <= share <= 1.0 - _ONE_WAY:
             ways = {"forward": forward, "backward": [~f for f in forward]}
@@ -252,7 +252,7 @@ def _functions(path: Sequence[FloatArray], taken: Sequence[NDArray[np.bool_]]) -
 
 
 def _ordinates(
-    found: Found,
+    outcome: Found,
     port: Port,
     basis: Basis,
     prediction: Prediction,
@@ -267,10 +267,10 @@ def _ordinates(
     ordinates with their standard errors, the ordinates that the models with effects would have, and the explained
     share of the residual's energy; None if one cannot be simulated.
     """
-    observed = found.subject.observed
+    observed = outcome.subject.observed
     assert port.input is not None
     drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
-    outcomes = found.subject.model.predict_driven(fit.values, drives)
+    outcomes = outcome.subject.model.predict_driven(fit.values, drives)
     moved = [o for o in outcomes if not isinstance(o, SimulationError)]
     if len(moved) < len(outcomes):
         return None
@@ -283,10 +283,10 @@ def _ordinates(
     residual = stack(base, observed)
     solution = -covariance @ (a.T @ residual)
     left = float(np.mean((residual + a @ solution) ** 2))
-    own = slice(len(steps), None)
-    errors = port.magnitude * np.sqrt(max(1.0, left) * np.diag(covariance)[own])
+    of_port = slice(len(steps), None)
+    errors = port.magnitude * np.sqrt(max(1.0, left) * np.diag(covariance)[of_port])
     lines = []
     for law in laws:
         change = stack(observed.whiten([p - q for p, q in zip(law, prediction, strict=True)]), observed)
-        lines.append(port.magnitude * (covariance @ (a.T @ change))[own])
-    return port.magnitude * solution[own], errors, lines, 1.0 - left / float(np.mean(residual**2))
+        lines.append(port.magnitude * (covariance @ (a.T @ change))[of_port])
+    return port.magnitude * solution[of_port], errors, lines, 1.0 - left / float(np.mean(residual**2))

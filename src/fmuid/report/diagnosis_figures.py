@@ -162,8 +162,8 @@ def machines_table(diagnosis: Mapping[str, Any]) -> Table | None:
     rows: list[tuple[Cell, ...]] = []
     for p in machines["parameters"]:
         low, high = p["next_machine"] or (None, None)
-        own = [p["machines"].get(name, {}) for name in machines["names"]]
-        each = [cell for e in own for cell in (e.get("value"), e.get("standard_error"))]
+        of_parameters = [p["machines"].get(name, {}) for name in machines["names"]]
+        each = [cell for e in of_parameters for cell in (e.get("value"), e.get("standard_error"))]
         rows.append((p["name"], *each, p["p_value"], "yes" if p["differs"] else "no", low, high))
     heads = [head for name in machines["names"] for head in (name, f"± {name}")]
     header = ("parameter", *heads, "p", "differs", "next machine, 95 %: from", "to")
@@ -418,8 +418,8 @@ def seen_table(diagnosis: Mapping[str, Any], units: Mapping[str, str] | None = N
         return None
     rows = tuple(
         (effect, parameter, value, pretty_unit((units or {}).get(parameter, "")))
-        for effect, own in diagnosis.get("power", {}).items()
-        for parameter, value in own.items()
+        for effect, powers in diagnosis.get("power", {}).items()
+        for parameter, value in powers.items()
     )
     header = ("effect", "parameter", "smallest size", "unit")
     return Table(header, rows, "seen", "Effects that would have been seen from this size on", digits=(5, 5, 4, 5))

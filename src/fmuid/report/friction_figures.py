@@ -88,21 +88,21 @@ def free_rotation(runs: list[Experiment], motor_constant: float) -> FrictionPoin
 
     The standard error is that of the mean over repeats; None for a plateau that was run once.
     """
-    found: dict[float, list[float]] = {}
+    torques_at: dict[float, list[float]] = {}
     for run in runs:
         reference, current = run.signals[REFERENCE].values, run.signals[CURRENT].values
         for begin, end in plateaus(run.time, reference):
             settled = current[begin + int(_SETTLING * (end - begin)) : end]
             speed = float(reference[begin])
-            found.setdefault(speed, []).append(motor_constant * float(np.nanmean(settled)))
-    found = {speed: torques for speed, torques in found.items() if speed != 0}
-    if not found:
+            torques_at.setdefault(speed, []).append(motor_constant * float(np.nanmean(settled)))
+    torques_at = {speed: torques for speed, torques in torques_at.items() if speed != 0}
+    if not torques_at:
         return None
-    speeds = sorted(found)
+    speeds = sorted(torques_at)
     errors = None
-    if all(len(found[s]) > 1 for s in speeds):
-        errors = np.array([np.std(found[s], ddof=1) / np.sqrt(len(found[s])) for s in speeds])
-    return FrictionPoints(np.array(speeds), np.array([np.mean(found[s]) for s in speeds]), errors)
+    if all(len(torques_at[s]) > 1 for s in speeds):
+        errors = np.array([np.std(torques_at[s], ddof=1) / np.sqrt(len(torques_at[s])) for s in speeds])
+    return FrictionPoints(np.array(speeds), np.array([np.mean(torques_at[s]) for s in speeds]), errors)
 
 
 def plateaus(time: FloatArray, reference: FloatArray) -> list[tuple[int, int]]:

@@ -119,15 +119,15 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     evaluations = sum(s.evaluations for s in result.stages)
     good = all(stage.sound for stage in result.stages)
     left = "; ".join(f"{stage.name}: {one}" for stage in result.stages for one in stage.unexplained)
-    found = []
+    facts = []
     judged = [(s.rmse / s.noise_floor, s) for s in validation if s.noise_floor and np.isfinite(s.rmse)]
     if judged:
         ratio, worst_run = max(judged, key=lambda pair: pair[0])
         close = ratio <= _CLOSE
         missed = f"errors up to {ratio:.3g} times the noise ({worst_run.experiment}, {worst_run.signal})"
         text = f"errors up to {ratio:.2g} times the noise" if close else f"{missed}: run fmuid diagnose"
-        found.append(Fact("Held-out runs", text, "good" if close else "warn"))
-    found.append(
+        facts.append(Fact("Held-out runs", text, "good" if close else "warn"))
+    facts.append(
         Fact(
             "Search",
             f"{result.status.value}, {evaluations} evaluations in {result.seconds:.1f} s"
@@ -138,14 +138,14 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
     known = [e for e in result.estimates if e.relative_error is not None]
     if known:
         worst = max(known, key=lambda e: abs(e.relative_error or 0.0))
-        found.append(
+        facts.append(
             Fact("Largest deviation from the truth", f"{worst.name}, {100 * (worst.relative_error or 0.0):+.2f} %")
         )
     usable = [f for f in validation if np.isfinite(f.nrmse)]
     if usable:
         worst_fit = max(usable, key=lambda f: f.nrmse)
         median = float(np.median([f.nrmse for f in usable]))
-        found.append(
+        facts.append(
             Fact(
                 "NRMSE on validation runs",
                 f"median {100 * median:.2g} %, worst {100 * worst_fit.nrmse:.2g} % ({worst_fit.experiment})",
@@ -156,11 +156,11 @@ def facts(result: Result, validation: Sequence[RunScore]) -> tuple[Fact, ...]:
         largest, middle = max(criteria.values()), float(np.median(list(criteria.values())))
         # If a demand is the noise, the error of a perfect fit scatters about 1: counting those below says little.
         text = f"median {middle:.3g}, worst {largest:.3g}"
-        found.append(Fact("Error relative to the demand", text, "good" if largest <= 1 else "plain"))
+        facts.append(Fact("Error relative to the demand", text, "good" if largest <= 1 else "plain"))
     warnings = sum(len(s.warnings) for s in result.stages)
     if warnings:
-        found.append(Fact("Warnings", f"{warnings}, in the stages below", "warn"))
-    return tuple(found)
+        facts.append(Fact("Warnings", f"{warnings}, in the stages below", "warn"))
+    return tuple(facts)
 
 
 def _before_and_after(
@@ -310,20 +310,20 @@ def _fit_sections(
         runs = campaign.validation if role == "validation" else sorted(used)
         if not runs:
             continue
-        found = validate(result, campaign, experiments=runs, simulators=simulators, runner=runner)
+        validated = validate(result, campaign, experiments=runs, simulators=simulators, runner=runner)
         # A used run shows the signals it was used for; any other run shows those that similar runs were used for.
         keep = (
             judged
             if role == "identification"
-            else {(s.setup, s.experiment, s.signal) for s in found.scores if (s.setup, s.signal) in of_setup}
+            else {(s.setup, s.experiment, s.signal) for s in validated.scores if (s.setup, s.signal) in of_setup}
         )
         drawn: dict[tuple[str, str], list[Overlay]] = {}
-        for case, predicted in zip(found.cases, found.predictions, strict=True):
+        for case, predicted in zip(validated.cases, validated.predictions, strict=True):
             for overlay in overlays(campaign, case, [("simulation", "final", predicted)]):
                 if (case.setup, case.id, overlay.signal) in keep:
                     drawn.setdefault((case.setup, overlay.signal), []).append(overlay)
-        scores = tuple(s for s in found.scores if (s.setup, s.experiment, s.signal) in keep)
-        sections.append(_fit_section(title, text, role=role, drawn=drawn, judged=scores, scores=found.scores))
+        scores = tuple(s for s in validated.scores if (s.setup, s.experiment, s.signal) in keep)
+        sections.append(_fit_section(title, text, role=role, drawn=drawn, judged=scores, scores=validated.scores))
         validation = scores if role == "validation" else validation
     return sections, validation
 

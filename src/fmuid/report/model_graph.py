@@ -61,9 +61,9 @@ def graph_of(flat: FlatModel) -> ModelGraph:
             used = [*references(equation.left), *references(equation.right)]
             links.add(_pair(_parts_of((flat_name(n) for n in used if isinstance(n, Reference)), parts)))
     linked = {name for pair in links if pair for name in pair}
-    found = {n: p for n, p in parts.items() if n in linked}
-    ports = {p.name: tuple(dict.fromkeys(_parts_of(p.connectors, found))) for p in find_ports(flat)}
-    return ModelGraph(found, frozenset(pair for pair in links if pair is not None), ports)
+    linked_parts = {n: p for n, p in parts.items() if n in linked}
+    ports = {p.name: tuple(dict.fromkeys(_parts_of(p.connectors, linked_parts))) for p in find_ports(flat)}
+    return ModelGraph(linked_parts, frozenset(pair for pair in links if pair is not None), ports)
 
 
 def drawing(graph: ModelGraph, ports: Collection[str]) -> Drawing | None:

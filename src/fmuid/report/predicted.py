@@ -14,24 +14,24 @@ from fmuid.report.plots.figure_data import Role
 
 def judged_signals(campaign: Campaign) -> set[tuple[str, str, str]]:
     """Return (setup, experiment, signal) of everything a stage of the campaign judges."""
-    found: set[tuple[str, str, str]] = set()
+    judged: set[tuple[str, str, str]] = set()
     for stage in campaign.stages.values():
         for run in case_building.experiments_of(campaign, stage.experiments, where=stage.name):
             signals = [c.signal for c in stage.criteria] or list(run.outputs)
-            found |= {(run.setup, run.id, s) for s in signals}
-    return found
+            judged |= {(run.setup, run.id, s) for s in signals}
+    return judged
 
 
 def overlays(
     campaign: Campaign | None, case: Case, versions: Sequence[tuple[str, Role, FloatArray | None]]
 ) -> list[Overlay]:
     """Return one overlay for each channel of `case`; `versions` are (label, role, predictions)."""
-    found = []
+    compared = []
     for k, channel in enumerate(case.channels):
         convert = channel.to_shown
         drawn = tuple((label, role, convert(p[k])) for label, role, p in versions if p is not None)
         sigma = None if channel.noise.source == "unknown" else channel.noise.of_mean(channel.count)
-        found.append(
+        compared.append(
             Overlay(
                 case.id,
                 channel.signal,
@@ -43,7 +43,7 @@ def overlays(
                 None if sigma is None else abs(convert.factor) * sigma,
             )
         )
-    return found
+    return compared
 
 
 def heading(campaign: Campaign | None, case: Case) -> str:

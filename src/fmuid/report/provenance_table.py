@@ -29,20 +29,20 @@ def file_hash(path: Path) -> str:
 
 def hashes(paths: Iterable[Path], folder: Path) -> dict[str, str]:
     """Return ``name (SHA-256)`` -> hash of every file that exists, named relative to `folder` if inside."""
-    found = {}
+    hashes = {}
     for path in paths:
         if path.is_file():
             inside = path.is_relative_to(folder)
             name = path.relative_to(folder).as_posix() if inside else path.name
-            found[f"{name} (SHA-256)"] = file_hash(path)
-    return found
+            hashes[f"{name} (SHA-256)"] = file_hash(path)
+    return hashes
 
 
 def provenance_of(campaign: Campaign, seed: int, *more: str, files: Iterable[Path] = ()) -> dict[str, str]:
     """Return the hashes of a campaign, its models and `files`, the versions including `more`, and the seed."""
-    own = [campaign.file or campaign.folder / "campaign.toml"]
-    own += [file for model in campaign.models.values() for file in model.files]
-    return {**hashes(dict.fromkeys([*own, *files]), campaign.folder), **versions(*more), "seed": str(seed)}
+    of_campaign = [campaign.file or campaign.folder / "campaign.toml"]
+    of_campaign += [file for model in campaign.models.values() for file in model.files]
+    return {**hashes(dict.fromkeys([*of_campaign, *files]), campaign.folder), **versions(*more), "seed": str(seed)}
 
 
 def provenance_table(values: Mapping[str, str]) -> Table:

@@ -84,11 +84,11 @@ def _parameters(result: Result) -> Figure | None:
 
 
 def _correlation(result: Result) -> Figure | None:
-    found = [s for s in result.stages if s.uncertainty is not None and len(s.uncertainty.names) > 1]
-    if not found or found[-1].uncertainty is None:
+    stages = [s for s in result.stages if s.uncertainty is not None and len(s.uncertainty.names) > 1]
+    if not stages or stages[-1].uncertainty is None:
         return None
-    known = found[-1].uncertainty
-    return correlation_figure(found[-1].name, known.names, np.array(known.correlation))
+    known = stages[-1].uncertainty
+    return correlation_figure(stages[-1].name, known.names, np.array(known.correlation))
 
 
 def _overlay(validation: Validation) -> Figure | None:

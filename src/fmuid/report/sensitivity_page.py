@@ -47,7 +47,12 @@ _MEANINGS = {
 
 
 def write_sensitivity_page(
-    found: GlobalSensitivity, out: Path, *, campaign: str, units: Mapping[str, str], provenance: Mapping[str, str]
+    sensitivity: GlobalSensitivity,
+    out: Path,
+    *,
+    campaign: str,
+    units: Mapping[str, str],
+    provenance: Mapping[str, str],
 ) -> Path:
     """Write the page and return the path of its ``index.html``; `units` are those of the parameters.
 
@@ -56,83 +61,91 @@ def write_sensitivity_page(
     FmuidError
         The folder cannot be written.
     """
-    moving = [o for o in found.outputs if o.indices]
+    moving = [o for o in sensitivity.outputs if o.indices]
     drawn = moving[:_DRAWN]
-    figures: list[Figure] = [_map(found, moving)] if len(moving) > 1 else []
-    figures += [_bars(found, output) for output in drawn]
-    clouds = tuple(_clouds(found, output, units) for output in drawn)
+    figures: list[Figure] = [_map(sensitivity, moving)] if len(moving) > 1 else []
+    figures += [_bars(sensitivity, output) for output in drawn]
+    clouds = tuple(_clouds(sensitivity, output, units) for output in drawn)
     sections = [
-        Section("What matters", tuple(figures), _MEANINGS[found.method]),
-        Section("All indices", (_table(found), _ranges(found, units)), " ".join(found.remarks())),
+        Section("What matters", tuple(figures), _MEANINGS[sensitivity.method]),
+        Section(
+            "All indices", (_table(sensitivity), _ranges(sensitivity, units)), " ".join(sensitivity.remarks())
+        ),
         Section("What was simulated", (), "Every point is one draw.", clouds, "The scalar over each parameter"),
         Section("Provenance", (provenance_table(provenance),)),
     ]
     document = Document(
         f"Global sensitivity: {campaign}",
-        f"Scalar of each output: {_SCALARS[found.quantity]}.",
-        _facts(found, moving),
+        f"Scalar of each output: {_SCALARS[sensitivity.quantity]}.",
+        _facts(sensitivity, moving),
         tuple(sections),
     )
     return write_document(document, out)
 
 
-def _facts(found: GlobalSensitivity, moving: Sequence[OutputSensitivity]) -> tuple[Fact, ...]:
+def _facts(sensitivity: GlobalSensitivity, moving: Sequence[OutputSensitivity]) -> tuple[Fact, ...]:
     facts = []
     for output in moving[:_DRAWN]:
-        strengths = output.strengths(found.method)
-        ranked = [found.names[k] for k in np.argsort(-strengths)]
+        strengths = output.strengths(sensitivity.method)
+        ranked = [sensitivity.names[k] for k in np.argsort(-strengths)]
         shown = ", ".join(f"{n} {s:.2g}" for n, s in zip(ranked, -np.sort(-strengths), strict=True))
         facts.append(Fact(output.label, shown))
-    if found.negligible:
-        facts.append(Fact("Below 1 % everywhere", ", ".join(found.negligible)))
-    if found.unmoved:
-        facts.append(Fact("Moved by no parameter", ", ".join(found.unmoved), "warn"))
-    what = "base samples" if found.method == "sobol" else "trajectories"
-    tone = "warn" if found.failed or found.interrupted else "plain"
-    failed = f", {found.failed} failed" if found.failed else ""
-    facts.append(Fact("Simulated", f"{counted(len(found.draws), 'draw')} in {found.samples} {what}{failed}", tone))
+    if sensitivity.negligible:
+        facts.append(Fact("Below 1 % everywhere", ", ".join(sensitivity.negligible)))
+    if sensitivity.unmoved:
+        facts.append(Fact("Moved by no parameter", ", ".join(sensitivity.unmoved), "warn"))
+    what = "base samples" if sensitivity.method == "sobol" else "trajectories"
+    tone = "warn" if sensitivity.failed or sensitivity.interrupted else "plain"
+    failed = f", {sensitivity.failed} failed" if sensitivity.failed else ""
+    facts.append(
+        Fact(
+            "Simulated", f"{counted(len(sensitivity.draws), 'draw')} in {sensitivity.samples} {what}{failed}", tone
+        )
+    )
     return tuple(facts)
 
 
-def _map(found: GlobalSensitivity, moving: Sequence[OutputSensitivity]) -> MapFigure:
-    quantity = "total index" if found.method == "sobol" else "mu* / largest mu*"
+def _map(sensitivity: GlobalSensitivity, moving: Sequence[OutputSensitivity]) -> MapFigure:
+    quantity = "total index" if sensitivity.method == "sobol" else "mu* / largest mu*"
     return MapFigure(
         "strengths",
         "Which parameter matters to which output",
         tuple(o.label for o in moving),
-        found.names,
-        np.array([o.strengths(found.method) for o in moving]),
+        sensitivity.names,
+        np.array([o.strengths(sensitivity.method) for o in moving]),
         Axis(quantity),
         (0.0, 1.0),
     )
 
 
-def _bars(found: GlobalSensitivity, output: OutputSensitivity) -> BarFigure:
-    kind = STRONGEST[found.method]
+def _bars(sensitivity: GlobalSensitivity, output: OutputSensitivity) -> BarFigure:
+    kind = STRONGEST[sensitivity.method]
     strong = output.indices[kind]
     bars = []
-    for k in sorted(range(len(found.names)), key=lambda k: -strong[k].value):
+    for k in sorted(range(len(sensitivity.names)), key=lambda k: -strong[k].value):
         index = strong[k]
         width = index.half_width or 0.0
         note = f"{index.value:.3g}"
-        if found.method == "sobol":
+        if sensitivity.method == "sobol":
             note += f", alone {output.indices['first'][k].value:.2g}"
         else:
             note += f", sigma {output.indices['sigma'][k].value:.2g}"
-        bars.append(Bar(found.names[k], index.value, "final", (index.value - width, index.value + width), note))
+        bars.append(
+            Bar(sensitivity.names[k], index.value, "final", (index.value - width, index.value + width), note)
+        )
     top = max(b.interval[1] for b in bars if b.interval)
-    quantity = Axis("total index") if found.method == "sobol" else Axis("mu*", output.unit)
+    quantity = Axis("total index") if sensitivity.method == "sobol" else Axis("mu*", output.unit)
     limits = (min(0.0, *(b.value for b in bars)), 1.25 * top)
     return BarFigure(f"indices-{slug(output.label)}", output.label, tuple(bars), quantity, limits=limits)
 
 
-def _clouds(found: GlobalSensitivity, output: OutputSensitivity, units: Mapping[str, str]) -> LineFigure:
+def _clouds(sensitivity: GlobalSensitivity, output: OutputSensitivity, units: Mapping[str, str]) -> LineFigure:
     there = np.flatnonzero(np.isfinite(output.scalars))
     kept = there[np.unique(np.linspace(0, len(there) - 1, min(_POINTS, len(there))).astype(int))]
-    scalar = Axis(found.quantity, output.unit)
+    scalar = Axis(sensitivity.quantity, output.unit)
     panels = tuple(
-        _cloud(name, units, scalar, found.draws[kept, k], output.scalars[kept])
-        for k, name in enumerate(found.names)
+        _cloud(name, units, scalar, sensitivity.draws[kept, k], output.scalars[kept])
+        for k, name in enumerate(sensitivity.names)
     )
     return LineFigure(f"draws-{slug(output.label)}", output.label, panels)
 
@@ -142,14 +155,14 @@ def _cloud(name: str, units: Mapping[str, str], scalar: Axis, x: FloatArray, y: 
     return Panel(name, axis, scalar, (Series("draw", x, y, "final", points=True),))
 
 
-def _table(found: GlobalSensitivity) -> Table:
-    kinds = ("first", "total") if found.method == "sobol" else ("mu_star", "mu", "sigma")
+def _table(sensitivity: GlobalSensitivity) -> Table:
+    kinds = ("first", "total") if sensitivity.method == "sobol" else ("mu_star", "mu", "sigma")
     header = ["output", "unit", "parameter"]
     for kind in kinds:
         header += [kind, "±"] if kind not in ("mu", "sigma") else [kind]
     rows = []
-    for output in found.outputs:
-        for k, name in enumerate(found.names):
+    for output in sensitivity.outputs:
+        for k, name in enumerate(sensitivity.names):
             row: list[Cell] = [output.label, output.unit, name]
             for kind in kinds:
                 index = output.indices[kind][k] if output.indices else None
@@ -161,9 +174,9 @@ def _table(found: GlobalSensitivity) -> Table:
     return Table(tuple(header), tuple(rows), "indices", "Indices", digits=digits)
 
 
-def _ranges(found: GlobalSensitivity, units: Mapping[str, str]) -> Table:
+def _ranges(sensitivity: GlobalSensitivity, units: Mapping[str, str]) -> Table:
     rows = tuple(
         (name, low, high, units.get(without_owner(name), ""))
-        for name, (low, high) in zip(found.names, found.ranges, strict=True)
+        for name, (low, high) in zip(sensitivity.names, sensitivity.ranges, strict=True)
     )
     return Table(("parameter", "from", "to", "unit"), rows, "ranges", "Ranges of the parameters")

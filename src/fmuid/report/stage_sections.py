@@ -91,7 +91,7 @@ def iterates(
     chosen = [(0, "start", "start"), *((k, "", "iterate") for k in figures.milestones(costs, 4))]
     if len(rows) > 1:
         chosen.append((len(rows) - 1, "final", "final"))
-    found: list[Overlay] = []
+    drawn: list[Overlay] = []
     for i, case_id in enumerate(recorded.cases):
         if case_id not in cases:
             continue
@@ -100,17 +100,17 @@ def iterates(
             number, row = rows[k]
             kind: Any = role
             versions.append((label or f"evaluation {number + 1}", kind, row.predictions[i]))
-        found += overlays(campaign, cases[case_id], versions)
-    return found
+        drawn += overlays(campaign, cases[case_id], versions)
+    return drawn
 
 
-def _most_improved(result: StageResult, found: Sequence[Overlay]) -> list[Overlay]:
+def _most_improved(result: StageResult, drawn: Sequence[Overlay]) -> list[Overlay]:
     """Keep the signals whose criteria were worst at the start, in the campaign's order."""
     worst: dict[str, float] = {}
     for c in result.criteria:
         worst[c.case] = max(worst.get(c.case, 0.0), c.start if c.start is not None else np.inf)
-    ranked = sorted(range(len(found)), key=lambda k: -worst.get(found[k].experiment, 0.0))
-    return [found[k] for k in sorted(ranked[:_PANELS])]
+    ranked = sorted(range(len(drawn)), key=lambda k: -worst.get(drawn[k].experiment, 0.0))
+    return [drawn[k] for k in sorted(ranked[:_PANELS])]
 
 
 def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
@@ -125,10 +125,10 @@ def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
 
 
 def _correlation(result: StageResult) -> Figure | None:
-    found = result.uncertainty
-    if found is None or len(found.names) < 2:
+    uncertainty = result.uncertainty
+    if uncertainty is None or len(uncertainty.names) < 2:
         return None
-    return figures.correlation_figure(result.name, found.names, np.array(found.correlation))
+    return figures.correlation_figure(result.name, uncertainty.names, np.array(uncertainty.correlation))
 
 
 def _criteria(result: StageResult) -> Table | None:

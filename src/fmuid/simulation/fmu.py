@@ -634,8 +634,8 @@ def _remove(folder: Path, process: int) -> None:
 
 
 def _run() -> Callable[[stepper.Plan, int, float], int]:
-    found: Callable[[stepper.Plan, int, float], int] = stepper.library().fmuid_run
-    return found
+    run: Callable[[stepper.Plan, int, float], int] = stepper.library().fmuid_run
+    return run
 
 
 def extract(path: Path, without: tuple[str, ...] = ()) -> Path:

@@ -133,7 +133,7 @@ def read_description(path: Path) -> FmuDescription:
     structure = Element("ModelStructure") if structure is None else structure
     known = by_reference if fmi == 3 else dict(enumerate(variables, start=1))
     key = "valueReference" if fmi == 3 else "index"
-    found = {
+    listed = {
         what: [(_known(known, unknown.get(key)), unknown) for unknown in structure.findall(place)]
         for what, place in _STRUCTURE[fmi].items()
     }
@@ -153,20 +153,20 @@ def read_description(path: Path) -> FmuDescription:
             v.name: None
             if (d := u.get("dependencies")) is None
             else tuple(_known(known, k).name for k in d.split())
-            for v, u in found["outputs"]
+            for v, u in listed["outputs"]
         },
         starts_settable=any(
             e.get(key) == STARTS_SETTABLE
             for place, key in (("VendorAnnotations/Tool", "name"), ("Annotations/Annotation", "type"))
             for e in root.findall(place)
         ),
-        states=tuple(_known(known, v.derivative).name for v, _ in found["derivatives"] if v.derivative),
-        derivatives=tuple(v.name for v, _ in found["derivatives"] if v.derivative),
-        n_states=sum(math.prod(v.shape) for v, _ in found["derivatives"]),
+        states=tuple(_known(known, v.derivative).name for v, _ in listed["derivatives"] if v.derivative),
+        derivatives=tuple(v.name for v, _ in listed["derivatives"] if v.derivative),
+        n_states=sum(math.prod(v.shape) for v, _ in listed["derivatives"]),
         n_indicators=(
             int(root.get("numberOfEventIndicators", 0))
             if fmi == 2
-            else sum(math.prod(v.shape) for v, _ in found["indicators"])
+            else sum(math.prod(v.shape) for v, _ in listed["indicators"])
         ),
     )
 

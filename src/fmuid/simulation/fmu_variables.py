@@ -168,9 +168,9 @@ def read_feedthrough(description: FmuDescription, variables: Mapping[str, Variab
     """Return the inputs on which each output depends without delay, by element; all if not stated."""
     elements = {v.name: elements_of(v) for v in description.variables}
     inputs = frozenset(n for n, v in variables.items() if v.causality == "input")
-    found = {n: inputs for n, v in variables.items() if v.causality == "output"}
+    inputs_of = {n: inputs for n, v in variables.items() if v.causality == "output"}
     for output, dependencies in description.outputs.items():
         if dependencies is not None:
             known = frozenset(n for name in dependencies for n in elements[name]) & inputs
-            found |= dict.fromkeys(elements[output], known)
-    return found
+            inputs_of |= dict.fromkeys(elements[output], known)
+    return inputs_of

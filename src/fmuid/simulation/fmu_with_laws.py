@@ -162,8 +162,8 @@ class _Contents:
     def _scalars(self) -> list[tuple[Variable, Slot]]:
         """Numeric variables of the contained FMU; their places are the value references of the new one."""
         slots = self.fmu.slots
-        found = [(v, slots[n]) for n, v in self.fmu.variables.items() if slots[n].suffix]
-        return [(v, slot) for v, slot in found if v.causality != "independent"]
+        elements = [(v, slots[n]) for n, v in self.fmu.variables.items() if slots[n].suffix]
+        return [(v, slot) for v, slot in elements if v.causality != "independent"]
 
     @cached_property
     def _inputs(self) -> list[str]:
@@ -234,9 +234,9 @@ class _Contents:
             meant = {**names, **here}
             sizes = " ".join(f"{numbers[name]} {bits(value)}" for name, value in law.off.items())
             if isinstance(law, CoefficientLaw):
-                own = coefficients[law.parameter]
-                yield f"{len(law.off)} 1 {len(law.states)} {own + 1} {sizes}"
-                yield f"0 {code_of(law.value, {**meant, 'p': Operand('OWN', own)}, law.where)}"
+                size = coefficients[law.parameter]
+                yield f"{len(law.off)} 1 {len(law.states)} {size + 1} {sizes}"
+                yield f"0 {code_of(law.value, {**meant, 'p': Operand('OWN', size)}, law.where)}"
             else:
                 yield f"{len(law.off)} 1 {len(law.states)} 0 {sizes}"
                 yield f"{states[law.state]} {code_of(law.flow, meant, law.where)}"
@@ -273,9 +273,9 @@ class _Contents:
         if given:
             SubElement(root, "DefaultExperiment", given)
         variables = SubElement(root, "ModelVariables")
-        found = self._declared(variables, kinds)
+        indices_of = self._declared(variables, kinds)
         structure = SubElement(root, "ModelStructure")
-        for what, indices in found.items():
+        for what, indices in indices_of.items():
             listed = SubElement(structure, what) if indices else structure
             for index in indices:
                 SubElement(listed, "Unknown", index=str(index))
@@ -283,28 +283,28 @@ class _Contents:
 
     def _declared(self, variables: Element, kinds: Mapping[str, DescribedVariable]) -> dict[str, list[int]]:
         """Declare all variables, and return the indices of those that the structure lists."""
-        found: dict[str, list[int]] = {"Outputs": [], "InitialUnknowns": []}
+        structure: dict[str, list[int]] = {"Outputs": [], "InitialUnknowns": []}
         for index, (variable, slot) in enumerate(self._scalars, start=1):
             initial = _declare(variables, index - 1, variable, slot, kinds.get(variable.name))
             if variable.causality == "output":
-                found["Outputs"].append(index)
+                structure["Outputs"].append(index)
             if initial in ("approx", "calculated") and variable.causality in ("output", "calculatedParameter"):
-                found["InitialUnknowns"].append(index)
+                structure["InitialUnknowns"].append(index)
         for reference, one in enumerate([*self._parameters, *self._law_inputs], start=len(self._scalars)):
             attributes = {"name": one.name, "valueReference": str(reference), "description": one.description}
             attributes["causality"] = "input" if one.input else "parameter"
             attributes["variability"] = "continuous" if one.input else "fixed"
             element = SubElement(variables, "ScalarVariable", attributes)
             SubElement(element, "Real", {"start": repr(one.value)} | ({"unit": one.unit} if one.unit else {}))
-        return found
+        return structure
 
     def _define_types(self, root: Element, kinds: Mapping[str, DescribedVariable]) -> None:
         """Define the enumerations, whose items have names."""
-        found = [kinds[v.name] for v, _ in self._scalars if v.name in kinds and kinds[v.name].literals]
-        if not found:
+        enumerations = [kinds[v.name] for v, _ in self._scalars if v.name in kinds and kinds[v.name].literals]
+        if not enumerations:
             return
         definitions = SubElement(root, "TypeDefinitions")
-        for variable in found:
+        for variable in enumerations:
             simple = SubElement(definitions, "SimpleType", name=_type_of(variable))
             items = SubElement(simple, "Enumeration")
             for name, value in variable.literals.items():

@@ -96,8 +96,8 @@ class _Compiler:
                 return [self._value_of(e)]
             case Unary():
                 inner = self.of(e.operand, start, depth)
-                own = {"-": "NEGATE", "not": "NOT"}.get(e.operator)
-                return [*inner, _Instruction(own)] if own else inner
+                instruction = {"-": "NEGATE", "not": "NOT"}.get(e.operator)
+                return [*inner, _Instruction(instruction)] if instruction else inner
             case Binary():
                 return self._binary(e, start, depth)
             case Call():

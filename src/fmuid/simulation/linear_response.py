@@ -50,16 +50,18 @@ class LinearResponse:
 
     def to(self, parameter: int, courses: FloatArray) -> FloatArray:
         """Return the (R, q, N) response of the outputs to (R, N) courses of a parameter's relative change."""
-        own = courses[:, self.knots.astype(np.intp)]
-        middle = 0.5 * (own[:, 1:] + own[:, :-1])
+        at_knots = courses[:, self.knots.astype(np.intp)]
+        middle = 0.5 * (at_knots[:, 1:] + at_knots[:, :-1])
         states = np.zeros((len(self.knots), self.transition.shape[-1], len(courses)))
         for k, (step, add) in enumerate(zip(self.transition, self.driven[:, :, parameter], strict=True)):
             states[k + 1] = step @ states[k] + add[:, None] * middle[:, k]
-        found = self.observed @ states + self.direct[:, :, parameter, None] * own.T[:, None, :]  # (K, q, R)
+        responses = (
+            self.observed @ states + self.direct[:, :, parameter, None] * at_knots.T[:, None, :]
+        )  # (K, q, R)
         if len(self.knots) == len(self.time):
-            return found.transpose(2, 1, 0)
+            return responses.transpose(2, 1, 0)
         at = self.time[self.knots.astype(np.intp)]
-        return np.array([[np.interp(self.time, at, row) for row in one] for one in found.transpose(2, 1, 0)])
+        return np.array([[np.interp(self.time, at, row) for row in one] for one in responses.transpose(2, 1, 0)])
 
 
 class Linearised:
@@ -85,14 +87,14 @@ class Linearised:
     @cached_property
     def _stored(self) -> Mapping[str, list[Variable]]:
         """The variable that shows each entry of the vectors of states, inputs and loop unknowns."""
-        found: dict[str, list[Variable]] = {}
+        stored: dict[str, list[Variable]] = {}
         for vector, size in (("x", self._model.n_x), ("u", self._model.n_u), ("y", self._model.n_y)):
             shown: dict[int, Variable] = {}
             for v in self._model.variables:
                 if v.location.vector == vector and (v.location.index not in shown or v.causality == "input"):
                     shown[v.location.index] = v
-            found[vector] = [shown[i] for i in range(size) if i in shown]
-        return found
+            stored[vector] = [shown[i] for i in range(size) if i in shown]
+        return stored
 
     @property
     def states(self) -> list[str]:
@@ -138,11 +140,11 @@ class Linearised:
         n = len(knots)
 
         def rows(vector: str, size: int) -> FloatArray:
-            found = np.zeros((size, n))
+            seeds = np.zeros((size, n))
             for v in self._stored[vector]:
                 value = courses[v.name][knots] if v.name in courses else np.full(n, v.start or 0.0)
-                found[v.location.index] = v.location.sign * value
-            return found
+                seeds[v.location.index] = v.location.sign * value
+            return seeds
 
         p = np.zeros(m.n_p)
         for given in ({v.name: v.start for v in m.variables if v.start is not None}, values):  # others are aliases
@@ -179,14 +181,14 @@ class Linearised:
         n, nx, ny = len(knots), m.n_x, m.n_y
         _, jacobian, _ = _matrices(f["jacobian"], environment)  # (n, nx + ny, nx + ny)
         zeros = [np.zeros((size, n)) for size in (m.n_z, m.n_z)] if m.n_z else []
-        moved, own = np.zeros((n, nx + ny, len(self.parameters))), []
+        moved, linearisations = np.zeros((n, nx + ny, len(self.parameters))), []
         for j, name in enumerate(self.parameters):
             seed = np.zeros(m.n_p)
             place = self._by_name[name].location
             seed[place.index] = p[place.index]  # a relative change
             followers = np.array(f["dependent_partials"](p, seed)).ravel()
-            own.append([np.repeat(a[:, None], n, axis=1) for a in (seed, followers)])
-            moved[:, :, j] = _evaluated(f["move_partials"], [*environment, *own[-1], *zeros])[0].T
+            linearisations.append([np.repeat(a[:, None], n, axis=1) for a in (seed, followers)])
+            moved[:, :, j] = _evaluated(f["move_partials"], [*environment, *linearisations[-1], *zeros])[0].T
         # Unknowns of loops follow states and parameters.
         follow = np.zeros((n, ny, nx + len(self.parameters)))
         if ny:
@@ -204,7 +206,7 @@ class Linearised:
 
         by_state = np.stack([shown(0, i) for i in range(nx)], axis=2) if nx else np.zeros((n, m.n_v, 0))
         by_parameter = np.zeros((n, m.n_v, len(self.parameters)))
-        for j, (seed, followers) in enumerate(own):
+        for j, (seed, followers) in enumerate(linearisations):
             along = [seeds[0], seeds[1], seed, followers, seeds[4]]
             by_parameter[:, :, j] = _evaluated(f["variable_partials"], [*environment, *along, *zeros])[0].T
         if ny:
@@ -274,13 +276,15 @@ class LinearisedFmu:
         fmu, knots = self._fmu, _knots(time)
         inputs = {n: u for n, u in courses.items() if n in fmu.variables and fmu.variables[n].causality == "input"}
         x = np.array([courses[n][knots] for n in self.states]).T
-        own = {n: v for n, v in values.items() if n in fmu.slots and not fmu.slots[n].refusal and n not in inputs}
-        task = Task(time, inputs, tuple(outputs), own)
+        settable = {
+            n: v for n, v in values.items() if n in fmu.slots and not fmu.slots[n].refusal and n not in inputs
+        }
+        task = Task(time, inputs, tuple(outputs), settable)
         f, _, slopes = fmu.linearise(task, {}, knots, x)
         n, size, nx = len(knots), len(self.parameters), len(self.states)
         b = np.zeros((n, nx, size))
         for j, name in enumerate(self.parameters):
-            p = own.get(name, fmu.variables[name].start or 0.0)
+            p = settable.get(name, fmu.variables[name].start or 0.0)
             at = {k: fmu.linearise(task, {name: k * p}, knots, x, slopes=False) for k in _FACTORS}
             steady = all(np.allclose(y, at[_FACTORS[0]][1], rtol=1e-9, atol=0.0) for _, y, _ in at.values())
             low, high, far = (at[k][0] for k in _FACTORS[2:])
@@ -330,8 +334,8 @@ def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArra
     import casadi as ca  # only models with a source are linearised
 
     n = arguments[0].shape[1]
-    found = function.map(n)(*(ca.DM(a) if a.size else ca.DM(a.shape[0], n) for a in arguments))
-    return [np.asarray(one.full()) for one in (found if isinstance(found, tuple | list) else [found])]
+    results = function.map(n)(*(ca.DM(a) if a.size else ca.DM(a.shape[0], n) for a in arguments))
+    return [np.asarray(one.full()) for one in (results if isinstance(results, tuple | list) else [results])]
 
 
 def _matrices(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:

@@ -68,10 +68,10 @@ def with_libraries(source: ModelSource) -> ModelSource:
     return replace(source, libraries=libraries_of(_folder(source) / f"{_stem(source)}.fmu"))
 
 
-def _check_libraries(source: ModelSource, found: Sequence[tuple[str, str]]) -> None:
+def _check_libraries(source: ModelSource, libraries: Sequence[tuple[str, str]]) -> None:
     """Warn if a library has another version than the one with which the campaign was made."""
     made = dict(source.libraries)
-    for name, version in found:
+    for name, version in libraries:
         if made.get(name, version) != version:
             warnings.warn(
                 f"{source.file}: the campaign was made with {name} {made[name]}, but {version} is used; "

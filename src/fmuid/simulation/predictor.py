@@ -29,12 +29,12 @@ class Predictor(Generic[Key]):
 
     def __call__(self, jobs: Mapping[Key, Job], runner: Runner) -> dict[Key, Outcome]:
         """Return the outcome of every job by its key, which covers everything that its prediction depends on."""
-        found: dict[Key, Outcome] = {key: self._known[key] for key in jobs if key in self._known}
-        missing = {key: job for key, job in jobs.items() if key not in found}
+        outcomes: dict[Key, Outcome] = {key: self._known[key] for key in jobs if key in self._known}
+        missing = {key: job for key, job in jobs.items() if key not in outcomes}
         if missing:
-            found |= dict(zip(missing, runner(list(missing.values())), strict=True))
-        self.remember({key: o for key, o in found.items() if not isinstance(o, Exception)})
-        return found
+            outcomes |= dict(zip(missing, runner(list(missing.values())), strict=True))
+        self.remember({key: o for key, o in outcomes.items() if not isinstance(o, Exception)})
+        return outcomes
 
     def remember(self, predictions: Mapping[Key, FloatArray]) -> None:
         """Remember predictions computed elsewhere."""

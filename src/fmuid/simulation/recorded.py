@@ -50,10 +50,10 @@ class RecordedSimulations:
     def __init__(self, file: Path, *, resume: bool, complete: bool) -> None:
         make_folder(file.parent)
         there = file.exists()
-        found = list(_positions(file)) if there else []
-        check_resumable(file.parent, resume, interrupted=bool(found), complete=complete and not there)
-        self._places = {key: place for key, place, _ in found}
-        end = found[-1][2] if found else None
+        positions = list(_positions(file)) if there else []
+        check_resumable(file.parent, resume, interrupted=bool(positions), complete=complete and not there)
+        self._places = {key: place for key, place, _ in positions}
+        end = positions[-1][2] if positions else None
         self._full = False
         self._journal = Journal(file, _MAGIC, end=end)
         self._tasks: _Digests[Task] = _Digests(digest_of_task, _TASKS)
@@ -74,8 +74,8 @@ class RecordedSimulations:
         def run(jobs: Sequence[Job]) -> list[Outcome]:
             outcomes = {k: self._recalled(job) for k, job in enumerate(jobs)}
             missing = [k for k, outcome in outcomes.items() if outcome is None]
-            found = runner([jobs[k] for k in missing]) if missing else []
-            new = dict(zip(missing, found, strict=True))
+            simulated = runner([jobs[k] for k in missing]) if missing else []
+            new = dict(zip(missing, simulated, strict=True))
             return [new[k] if outcome is None else outcome for k, outcome in outcomes.items()]
 
         return run

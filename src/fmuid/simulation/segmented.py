@@ -218,14 +218,14 @@ class Segmented(Wrapped):
             raise SimulationError(f"the model has no state '{self.missing[0]}' to begin a segment with")
         cut, begin = self._layout(), self._begin or _Begin(self, task, parameters)
         states = begin.origin.initial_states(begin.parameters, begin.task)
-        found = np.empty((len(task.outputs) * (1 + len(task.along)), len(task.time)))
+        outputs = np.empty((len(task.outputs) * (1 + len(task.along)), len(task.time)))
         for k, piece in enumerate(self._tasks(task)):
             part = slice(cut.first[k], cut.first[k + 1])
             if self.exact and task.along:
-                found[:, part] = self._projected(piece, part, states[k], cut.scale, parameters)
+                outputs[:, part] = self._projected(piece, part, states[k], cut.scale, parameters)
             else:
-                found[:, part] = self._run(piece.plain, parameters, states[k])
-        return found
+                outputs[:, part] = self._run(piece.plain, parameters, states[k])
+        return outputs
 
     def over(self, simulator: Simulator) -> Segmented:
         """Return the same segments of another model, such as this one with an effect.
@@ -245,13 +245,13 @@ class Segmented(Wrapped):
     def state_tangents(self, parameters: Mapping[str, float]) -> FloatArray:
         """Return the (segments * states, outputs, N) derivatives of the outputs by the initial states."""
         cut, n = self._layout(), len(self.task.outputs)
-        found = np.zeros((self.segments, len(self.states), n, len(self.task.time)))
+        tangents = np.zeros((self.segments, len(self.states), n, len(self.task.time)))
         for k, (piece, states) in enumerate(
             zip(self._tasks(self.task), self.initial_states(parameters), strict=True)
         ):
             part = slice(cut.first[k], cut.first[k + 1])
-            found[k, :, :, part] = self._sloped(piece, parameters, states, cut.scale)[1]
-        return found.reshape(-1, n, len(self.task.time))
+            tangents[k, :, :, part] = self._sloped(piece, parameters, states, cut.scale)[1]
+        return tangents.reshape(-1, n, len(self.task.time))
 
     def from_states_at(self, origin: Segmented, task: Task, parameters: Mapping[str, float]) -> Segmented:
         """Return these segments, each starting from the states that fit in `origin` at a task and its parameters.
@@ -305,7 +305,7 @@ class Segmented(Wrapped):
         run, slopes = self._sloped(piece, parameters, states, scale)
         error, damping, current = errors(run), 0.0, True
         for _ in range(_STEPS):
-            found = self._step(
+            step = self._step(
                 piece.plain,
                 parameters,
                 states,
@@ -314,12 +314,12 @@ class Segmented(Wrapped):
                 errors=errors,
                 damping=damping,
             )
-            if found is None and current:
+            if step is None and current:
                 break
             bent = np.inf
-            if found is not None:
+            if step is not None:
                 before = float(error @ error)
-                states, run, error, damping, bent = found
+                states, run, error, damping, bent = step
                 if current and before - float(error @ error) <= _LAST * before:
                     break
             current = current and bent <= _STRAIGHT
@@ -476,8 +476,8 @@ class Segmented(Wrapped):
             guess.append(state)
             pieces.append((piece, state))
             state = run[n : n + len(self.states), -1].copy()
-        found = np.array(guess)
-        return _Cut(tuple(first), read_only(found), read_only(np.ptp(np.vstack([found, state]), axis=0))), pieces
+        states = np.array(guess)
+        return _Cut(tuple(first), read_only(states), read_only(np.ptp(np.vstack([states, state]), axis=0))), pieces
 
     def _growth(self, cut: _Cut, pieces: Sequence[tuple[_Piece, FloatArray]]) -> Growth:
         """Return how errors of 1 % grow from piece to piece along the measured run."""
@@ -511,8 +511,8 @@ class Segmented(Wrapped):
         for j in range(count):
             error = np.hstack([np.diag(cut.scale), np.zeros((n_x, len(driven)))])
             for k in range(count - j):
-                own = np.hstack([np.zeros((n + n_x, n_x)), by_input[j + k]])
-                reached = by_state[j + k] @ error + own
+                added = np.hstack([np.zeros((n + n_x, n_x)), by_input[j + k]])
+                reached = by_state[j + k] @ error + added
                 error, moved_by = reached[n:], np.abs(reached[shown])
                 if j == 0:
                     worst = moved_by / span[:, None]
@@ -542,13 +542,13 @@ def _range(values: FloatArray) -> FloatArray:
 
 def _noise(values: FloatArray) -> FloatArray:
     """Return an upper bound of each row's noise that needs no model, from its second and fourth differences."""
-    found = []
+    noise = []
     for row in values:
         known = row[np.isfinite(row)]
         two, four = np.diff(known, 2), np.diff(known, 4)
         levels = [np.sqrt(np.mean(two**2) / 6.0), np.sqrt(np.mean(four**2) / 70.0)] if len(four) else [0.0]
-        found.append(float(min(levels)))
-    return np.array(found)
+        noise.append(float(min(levels)))
+    return np.array(noise)
 
 
 def _size(values: FloatArray) -> float:
@@ -626,5 +626,5 @@ def _solved(matrix: FloatArray, right: FloatArray, damping: float = 0.0) -> Floa
     if damping:
         matrix = np.vstack([matrix, np.sqrt(damping) * np.eye(len(scale))])
         right = np.concatenate([right, np.zeros((len(scale), *right.shape[1:]))])
-    found = np.linalg.lstsq(matrix, right, rcond=_RANK)[0]
-    return np.asarray(found / (scale if found.ndim == 1 else scale[:, None]))
+    solution = np.linalg.lstsq(matrix, right, rcond=_RANK)[0]
+    return np.asarray(solution / (scale if solution.ndim == 1 else scale[:, None]))

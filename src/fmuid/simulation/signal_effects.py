@@ -62,17 +62,17 @@ def split_signal_parameters(
 
 def signal_and_property(name: str) -> tuple[str, str] | None:
     """Return the signal and property in a parameter's name, whether or not the signal exists."""
-    found = _CROSSTALK.fullmatch(name)
-    if found is not None:
-        return found["signal"], found["property"]
+    match = _CROSSTALK.fullmatch(name)
+    if match is not None:
+        return match["signal"], match["property"]
     signal, _, prop = name.rpartition(".")
     return (signal, prop) if prop in NEUTRAL else None
 
 
 def signal_parameters(signals: Collection[str]) -> set[str]:
     """Return the names of all effect parameters of these signals."""
-    own = {f"{signal}.{prop}" for signal in signals for prop in NEUTRAL}
-    return own | {crosstalk(a, b) for a in signals for b in signals if a != b}
+    properties = {f"{signal}.{prop}" for signal in signals for prop in NEUTRAL}
+    return properties | {crosstalk(a, b) for a in signals for b in signals if a != b}
 
 
 def crosstalk(signal: str, other: str) -> str:
@@ -122,14 +122,14 @@ def disturbed_input(
 
 def _ramped(time: FloatArray, y: FloatArray, rate: float, *, linear: bool) -> FloatArray:
     """Return a signal that follows another one at no more than a rate; if held, its mean over each step."""
-    found, at = np.empty(len(y)), float(y[0])
+    ramped, at = np.empty(len(y)), float(y[0])
     for k, (step, wanted) in enumerate(zip(np.diff(time).tolist(), y[int(linear) :].tolist(), strict=False)):
         most = rate * step
         moved = min(max(wanted - at, -most), most)
-        found[k] = at if linear else at + moved * (1.0 - 0.5 * abs(moved) / most)
+        ramped[k] = at if linear else at + moved * (1.0 - 0.5 * abs(moved) / most)
         at += moved
-    found[-1] = at
-    return found
+    ramped[-1] = at
+    return ramped
 
 
 def _behind(course: Course, edges: FloatArray, lag: float) -> Course:
@@ -317,11 +317,11 @@ def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
 
 def _with_play(y: FloatArray, width: float) -> FloatArray:
     """Return a signal that another one takes along at either end of a play, in the middle of it at first."""
-    found, at = np.empty(len(y)), float(y[0])
+    played, at = np.empty(len(y)), float(y[0])
     for k, value in enumerate(y.tolist()):
         at = min(max(at, value - width), value + width)
-        found[k] = at
-    return found
+        played[k] = at
+    return played
 
 
 def _joined(time: FloatArray, *others: FloatArray) -> FloatArray:

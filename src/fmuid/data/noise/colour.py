@@ -89,8 +89,8 @@ def estimate_colour(runs: Sequence[RepeatedRuns], *, count: float = 1.0) -> Colo
     highest = min(_HIGHEST_ORDER, min(len(r.time) for r in repeated) // 4)
     covariance, samples = np.zeros(highest + 1), 0.0
     for run in repeated:
-        own = run.deviations[:, 0] - run.deviations[:, 0].mean(axis=1, keepdims=True)
-        covariance += _sums(own, highest)
+        centred = run.deviations[:, 0] - run.deviations[:, 0].mean(axis=1, keepdims=True)
+        covariance += _sums(centred, highest)
         samples += float(run.mask[0].sum()) * (run.n_repeats - 1)
     covariance /= samples
     covariance[0] = max(covariance[0], float(noise.variance[0]) if covariance[0] == 0.0 else 0.0)

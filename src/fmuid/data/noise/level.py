@@ -67,7 +67,7 @@ def conversion_at(source: str | None, target: str | None, where: str) -> Convers
 
 def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> NoiseLevel | None:
     """Return the signal's noise in other runs of the same setup; None if it is unknown there as well."""
-    found = []
+    variances = []
     for other in campaign.measurements:
         if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
             continue
@@ -77,10 +77,10 @@ def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str 
         same = [e.outputs[signal].values for e in runs if signal in e.outputs and e.sampled_like(other)]
         level = noise_level(np.array(same), given if len(given) == len(same) else [None])
         if level.source != "unknown":
-            found.append((convert.factor**2 * level.differing, convert.factor**2 * level.repeating))
-    if not found:
+            variances.append((convert.factor**2 * level.differing, convert.factor**2 * level.repeating))
+    if not variances:
         return None
-    differing, repeating = np.mean(found, axis=0)
+    differing, repeating = np.mean(variances, axis=0)
     return NoiseLevel(float(differing), float(repeating), "repeats")
 
 
@@ -105,7 +105,7 @@ def input_sigma(measurements: Measurements, run: Experiment, name: str) -> float
 
 def repeated_runs(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> tuple[RepeatedRuns, ...]:
     """Return the runs of the same setup and sampling interval that have the signal, each with its repeats."""
-    found = []
+    repeated = []
     for other in campaign.measurements:
         if other.setup != run.setup or other.repeat_of is not None or signal not in other.outputs:
             continue
@@ -117,8 +117,8 @@ def repeated_runs(campaign: Campaign, run: Experiment, signal: str, unit: str | 
             for e in campaign.measurements.repeats(other.id)
             if signal in e.outputs and e.sampled_like(other)
         ]
-        found.append(RepeatedRuns(other.id, other.setup, other.time, (signal,), np.array(same)[:, None]))
-    return tuple(found)
+        repeated.append(RepeatedRuns(other.id, other.setup, other.time, (signal,), np.array(same)[:, None]))
+    return tuple(repeated)
 
 
 def noise_level(repeats: FloatArray, given: Sequence[float | None]) -> NoiseLevel:

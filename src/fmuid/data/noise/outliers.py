@@ -32,7 +32,7 @@ _MAD = 1.4826  # from a normal's median absolute value to its standard deviation
 
 def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Outliers, ...]]:
     """Return the measurements with outliers in outputs replaced by NaN, and the list of outliers."""
-    found: list[Outliers] = []
+    removed: list[Outliers] = []
     changed: dict[str, Experiment] = {}
     for origin in dict.fromkeys(e.origin for e in measurements):
         group = measurements.repeats(origin)
@@ -46,13 +46,13 @@ def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Ou
                     kinds: dict[OutlierKind, Mask] = {"spike": spikes, "held": held & ~spikes}
                     for kind, mask in kinds.items():
                         if mask.any():
-                            found.append(Outliers(e.id, name, kind, tuple(map(float, e.time[mask]))))
+                            removed.append(Outliers(e.id, name, kind, tuple(map(float, e.time[mask]))))
                     if (spikes | held).any():
                         changed[e.id] = _masked(changed.get(e.id, e), name, spikes | held)
     if not changed:
         return measurements, ()
     experiments = {e.id: changed.get(e.id, e) for e in measurements}
-    return replace(measurements, experiments=experiments), tuple(found)
+    return replace(measurements, experiments=experiments), tuple(removed)
 
 
 def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
@@ -70,11 +70,11 @@ def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
             continue
         others = np.delete(values, k, axis=0)
         common = _median(others) if len(others) else np.zeros(len(run))
-        found = _spikes(run - common, step) & _spikes_or_all(run, others, step)
+        lonely = _spikes(run - common, step) & _spikes_or_all(run, others, step)
         if not len(others):
-            found &= ~stirred
+            lonely &= ~stirred
         stuck = _held(run, step)
-        for mask, out in ((found, spikes), (stuck, held)):
+        for mask, out in ((lonely, spikes), (stuck, held)):
             if mask.sum() <= _MOST * len(run):
                 out[k] = mask
     return spikes, held
@@ -92,14 +92,14 @@ def _spikes(values: FloatArray, step: float, factor: float = _SPIKE) -> Mask:
     moves = np.abs(np.diff(y))
     least = max(step, 0.1 * _MAD * float(np.mean(moves)))
     windows = sliding_window_view(np.pad(moves, _WINDOW // 2, mode="symmetric"), _WINDOW)
-    found = np.zeros(len(values), dtype=bool)
+    spikes = np.zeros(len(values), dtype=bool)
     for width in range(1, _LONGEST + 1):
         beyond = _sticks_out(y, width)
         places = np.flatnonzero(beyond > factor * least)
         usual = _MAD * _medians(windows, places)
         for begin in places[beyond[places] > factor * usual] + 1:
-            found[there[begin : begin + width]] = True
-    return found
+            spikes[there[begin : begin + width]] = True
+    return spikes
 
 
 def _medians(windows: FloatArray, places: NDArray[np.intp]) -> FloatArray:
@@ -123,12 +123,12 @@ def _sticks_out(y: FloatArray, width: int) -> FloatArray:
 
 def _held(values: FloatArray, step: float) -> Mask:
     """Return the samples that repeat the previous one while the signal moved on: a jump ends them."""
-    found = np.zeros(len(values), dtype=bool)
+    repeats = np.zeros(len(values), dtype=bool)
     moves = np.abs(np.diff(values))
     equal = moves == 0.0
     chance = float(np.mean(equal))
     if chance in (0.0, 1.0):
-        return found
+        return repeats
     ends = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(int)))
     for begin, end in ends.reshape(-1, 2):  # steps begin..end-1 are zero, so samples begin..end are equal
         length = end - begin
@@ -138,8 +138,8 @@ def _held(values: FloatArray, step: float) -> Mask:
         if length + 1 < _SHORTEST or end >= len(moves) - 5 or expected > _BY_CHANCE:
             continue
         if moves[end] > max(_RELEASE * _MAD * float(np.nanmedian(after)), 3.0 * step):
-            found[begin + 1 : end + 1] = True
-    return found
+            repeats[begin + 1 : end + 1] = True
+    return repeats
 
 
 def _median(others: FloatArray) -> FloatArray:

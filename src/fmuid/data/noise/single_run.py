@@ -43,7 +43,7 @@ def fast_variance(runs: Sequence[FloatArray], step: float = 0.0) -> float:
 
     Values on a lattice have a median on a lattice, so quantised samples are spread over their steps first.
     """
-    rng, found = np.random.default_rng(0), []
+    rng, variances = np.random.default_rng(0), []
     spread = [values + step * (rng.random(np.shape(values)) - 0.5) if step else values for values in runs]
     for order in _ORDERS:
         differences = np.concatenate([np.diff(values, order).ravel() for values in spread])
@@ -51,5 +51,5 @@ def fast_variance(runs: Sequence[FloatArray], step: float = 0.0) -> float:
         if differences.size > 1:
             variance = (_MAD * float(np.median(np.abs(differences)))) ** 2 / comb(2 * order, order)
             variance -= step**2 / 12.0
-            found.append(variance * (1.0 + _ONE_SIDED * np.sqrt(2.0 / (_EFFICIENCY * differences.size))))
-    return max(min(found, default=0.0), 0.0)
+            variances.append(variance * (1.0 + _ONE_SIDED * np.sqrt(2.0 / (_EFFICIENCY * differences.size))))
+    return max(min(variances, default=0.0), 0.0)

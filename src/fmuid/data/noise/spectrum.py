@@ -235,7 +235,9 @@ def _without_repeats(runs: Sequence[RepeatedRuns], given: FloatArray, step: Floa
     channels, known = runs[0].channels, np.isfinite(given)
     values = [[r.values[:, c] for r in runs] for c in range(len(channels))]
     # What the differences show of a counter's error is fast; the rest follows the signal.
-    repeating = np.where(known, 0.0, repeating_variance(np.array([fast_variance(own) for own in values]), step))
+    repeating = np.where(
+        known, 0.0, repeating_variance(np.array([fast_variance(samples) for samples in values]), step)
+    )
     bound = [single_run_variance(*of) for of in zip(values, step.tolist(), repeating.tolist(), strict=True)]
     variance = np.where(known, np.nan_to_num(given) ** 2, bound)
     if np.any(variance <= 0.0):
@@ -316,9 +318,9 @@ def bandwidth(run: RepeatedRuns, noise: SetupNoise, *courses: FloatArray) -> Flo
     power = np.stack([real_spectrum((y - x) * run.mask) ** 2 for y, x in zip(courses, lines, strict=True)])
     limits = np.full(len(run.channels), _FEWEST / (n * noise.dt))
     for b, end in enumerate(edges[1:]):
-        own = octave == b
-        if own.any():
-            loud = np.any(power[..., own].mean(axis=-1) > _TWICE * level[:, own].mean(axis=1), axis=0)
+        within = octave == b
+        if within.any():
+            loud = np.any(power[..., within].mean(axis=-1) > _TWICE * level[:, within].mean(axis=1), axis=0)
             limits[loud] = np.maximum(limits[loud], end)
     return limits
 
@@ -331,16 +333,16 @@ def rounding_draws(
     Their spectrum depends on the signals before they are rounded: `course`, (C, N), if a model predicts it,
     otherwise what the counts tell.
     """
-    found = np.zeros((draws, len(run.channels), len(run.time)))
+    errors = np.zeros((draws, len(run.channels), len(run.time)))
     for c, (step, variance) in enumerate(zip(noise.step, noise.repeating, strict=True)):
         if variance <= 0.0:
             continue
         if course is not None:
-            found[:, c] = rounding_along(course[c], step, variance, draws=draws, seed=seed + c)
+            errors[:, c] = rounding_along(course[c], step, variance, draws=draws, seed=seed + c)
         else:
             share = np.sqrt(12.0 * variance) / step
-            found[:, c] = share * rounding_errors(run.values[0, c], step, draws=draws, seed=seed + c)
-    return found
+            errors[:, c] = share * rounding_errors(run.values[0, c], step, draws=draws, seed=seed + c)
+    return errors
 
 
 def _rounding_spectrum(run: RepeatedRuns, noise: SetupNoise) -> FloatArray:

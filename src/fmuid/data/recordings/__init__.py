@@ -65,7 +65,7 @@ def read_recording(path: str | Path, names: Collection[str] = (), layout: TableL
     module, layout = _MODULES.get(path.suffix.casefold()), layout or TableLayout()
     if module is None:
         table = read_csv(path, layout)
-        found = Recording((table,), notes=table.notes)
+        recording = Recording((table,), notes=table.notes)
     else:
         read = importlib.import_module(f"fmuid.data.recordings.{module}").read
         if module not in _SELF_DESCRIBED:
@@ -76,5 +76,5 @@ def read_recording(path: str | Path, names: Collection[str] = (), layout: TableL
                 where=path,
                 fix="leave out --columns and --rate, and choose signals with --signal",
             )
-        found = read_isolated(read, path)
-    return found.only(names, path)
+        recording = read_isolated(read, path)
+    return recording.only(names, path)

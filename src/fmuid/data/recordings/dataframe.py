@@ -28,7 +28,7 @@ def from_frame(frame: Any, run: str, layout: TableLayout) -> Recording:
     MeasurementsError
         There is no time, or no other column.
     """
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     others, dates = [], False
     for header, column in columns_of(frame).items():
         name, unit = name_and_unit(header)
@@ -40,14 +40,14 @@ def from_frame(frame: Any, run: str, layout: TableLayout) -> Recording:
                     f"column '{header}' does not contain times", where=run, fix="write it in s"
                 )
             elements = _elements(np.asarray(column))
-            found |= {f"{name}[{k + 1}]": Column(v, unit) for k, v in enumerate(elements)}
+            columns |= {f"{name}[{k + 1}]": Column(v, unit) for k, v in enumerate(elements)}
             others += [] if len(elements) else [header]
             continue
         dates |= temporal and is_time
-        found[name] = Column(values, "s" if temporal else unit)
+        columns[name] = Column(values, "s" if temporal else unit)
     notes = left_out(others, "not numeric")
     return from_columns(
-        found, layout, Path(run), notes=(*notes, *(["time starts at the first date"] if dates else []))
+        columns, layout, Path(run), notes=(*notes, *(["time starts at the first date"] if dates else []))
     )
 
 
@@ -74,12 +74,12 @@ def _numbers(column: Any) -> tuple[FloatArray | None, bool]:
     # Python objects: pandas gives them for time zones, all libraries for Booleans with nulls.
     null = column.isna() if hasattr(column, "isna") else [value is None for value in values]
     there = ~np.asarray(null, dtype=bool)
-    found, numbers = values[there], np.full(values.size, np.nan)
-    temporal = found.size > 0 and all(isinstance(value, date | timedelta) for value in found)
+    present, numbers = values[there], np.full(values.size, np.nan)
+    temporal = present.size > 0 and all(isinstance(value, date | timedelta) for value in present)
     if temporal:
-        numbers[there] = [(value - found[0]) / timedelta(seconds=1) for value in found]
-    elif found.size > 0 and all(isinstance(value, int | float | np.number | np.bool_) for value in found):
-        numbers[there] = found
+        numbers[there] = [(value - present[0]) / timedelta(seconds=1) for value in present]
+    elif present.size > 0 and all(isinstance(value, int | float | np.number | np.bool_) for value in present):
+        numbers[there] = present
     else:
         return None, False
     return numbers, temporal

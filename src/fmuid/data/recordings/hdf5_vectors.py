@@ -26,16 +26,16 @@ def read(path: Path, layout: TableLayout) -> Recording:
     A vector belongs to the time axis of its group or of the nearest group above. Its unit is the attribute `unit`
     or `units`; its name is its path below the group of the time axis, with dots.
     """
-    kind, found, others = hdf5.vectors(path)
+    kind, stored, others = hdf5.vectors(path)
     if kind == FORMAT:
         raise MeasurementsError("is already a measurement file", where=path, fix="name it in campaign.toml")
     if layout != TableLayout():
-        columns = {".".join(place): Column(v.values, v.unit) for place, v in found.items()}
+        columns = {".".join(place): Column(v.values, v.unit) for place, v in stored.items()}
         return from_columns(columns, layout, path, notes=left_out(others, "not vectors"))
-    times = {p: v for p, v in found.items() if p[-1].casefold() in TIMES}
+    times = {p: v for p, v in stored.items() if p[-1].casefold() in TIMES}
     axes = {p[:-1]: in_seconds(v.values, v.unit, path) for p, v in times.items()}
     vectors = []
-    for place, vector in found.items():
+    for place, vector in stored.items():
         above = next((place[:k] for k in range(len(place) - 1, -1, -1) if place[:k] in axes), None)
         if place in times:
             continue

@@ -28,8 +28,8 @@ def read(path: Path, layout: TableLayout) -> Recording:
         return trajectory.read(variables, layout, path)
     columns: dict[str, Column] = {}
     others = []
-    for name, found in variables.items():
-        value = np.atleast_1d(found) if isinstance(found, int | float | np.number) else found
+    for name, content in variables.items():
+        value = np.atleast_1d(content) if isinstance(content, int | float | np.number) else content
         if not is_numeric(value) or value.ndim > 2:
             others.append(name)
         elif value.ndim < 2:
@@ -44,11 +44,11 @@ def _variables(path: Path) -> dict[str, Any] | None:
 
     try:
         of_tool = trajectory.is_trajectory({name for name, _, _ in whosmat(path)})
-        found = loadmat(path, squeeze_me=not of_tool, chars_as_strings=not of_tool)
+        content = loadmat(path, squeeze_me=not of_tool, chars_as_strings=not of_tool)
     except NotImplementedError:
         return None
     except Exception:  # the parser may raise anything on damaged files
         raise MeasurementsError(
             "is not a readable MATLAB file", where=path, fix="save it with: save -v7"
         ) from None
-    return {name: value for name, value in found.items() if not name.startswith("__")}
+    return {name: value for name, value in content.items() if not name.startswith("__")}

@@ -32,13 +32,13 @@ def read(path: Path, layout: TableLayout) -> Recording:
     try:
         with path.open("rb") as file:
             table = parquet.read_table(file)
-        columns = {n: _numbers(table.column(i)) for i, n in enumerate(table.column_names)}
+        arrays = {n: _numbers(table.column(i)) for i, n in enumerate(table.column_names)}
     except (pa.ArrowException, OSError, ValueError) as error:
         words = str(error).splitlines()[0].rpartition("'<Buffer>': ")[2]
         raise MeasurementsError(f"cannot be read as Parquet ({words})", where=path, fix="write it again") from None
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     dates = False
-    for header, values in columns.items():
+    for header, values in arrays.items():
         field = table.schema.field(header)
         if values is not None:
             name, unit = name_and_unit(header)
@@ -46,13 +46,15 @@ def read(path: Path, layout: TableLayout) -> Recording:
             stated = metadata.get(b"unit", metadata.get(b"units"))
             temporal = pa.types.is_temporal(field.type)
             dates |= temporal and name.casefold() in TIMES
-            found[name] = Column(
+            columns[name] = Column(
                 values, "s" if temporal else unit if stated is None else stated.decode(errors="replace")
             )
         elif name_and_unit(header)[0].casefold() in TIMES:
             raise MeasurementsError(f"column '{header}' does not contain times", where=path, fix="write it in s")
-    notes = left_out([h for h, c in columns.items() if c is None], "not numeric")
-    return from_columns(found, layout, path, notes=(*notes, *(["time starts at the first date"] if dates else [])))
+    notes = left_out([h for h, c in arrays.items() if c is None], "not numeric")
+    return from_columns(
+        columns, layout, path, notes=(*notes, *(["time starts at the first date"] if dates else []))
+    )
 
 
 def _numbers(column: Any) -> Any:

@@ -54,13 +54,13 @@ def read(path: Path) -> Recording:
     try:
         messages = _of_mcap(path, others) if path.suffix.casefold() == ".mcap" else _of_bag(path, others)
         for topic, stamp, message in messages:
-            found = topics.setdefault(topic, _Topic())
-            found.times.append(_header_time(message, stamp))
-            found.rows.append(dict(_numbers(message)))
+            of_topic = topics.setdefault(topic, _Topic())
+            of_topic.times.append(_header_time(message, stamp))
+            of_topic.rows.append(dict(_numbers(message)))
     except Exception as error:  # the parsers may raise anything on damaged files
         what = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise MeasurementsError(f"cannot be read ({what})", where=path, fix="record it again") from None
-    silent = [topic for topic, found in topics.items() if not any(found.rows)]
+    silent = [topic for topic, of_topic in topics.items() if not any(of_topic.rows)]
     notes = left_out([*others, *silent], "not numeric")
     return by_time_base(_vectors({t: f for t, f in topics.items() if any(f.rows)}), path, notes)
 
@@ -129,8 +129,8 @@ def _elements(
 ) -> Iterator[tuple[str, float]]:
     if len(values) > _LONGEST:
         return
-    own = labels if len(labels) == len(values) else [str(i) for i in range(len(values))]
-    for label, value in zip(own, values, strict=True):
+    suffixes = labels if len(labels) == len(values) else [str(i) for i in range(len(values))]
+    for label, value in zip(suffixes, values, strict=True):
         if isinstance(value, bool | int | float | np.number):
             yield f"{name}.{label}", float(value)
         elif _fields(value) is not None:
@@ -139,9 +139,9 @@ def _elements(
 
 def _vectors(topics: Mapping[str, _Topic]) -> Iterable[Vector]:
     begin = min((min(t.times) for t in topics.values()), default=0.0)
-    for topic, found in topics.items():
-        order = np.argsort(found.times, kind="stable")
-        time = np.array(found.times)[order] - begin
-        for name in dict.fromkeys(n for row in found.rows for n in row):
-            values = np.array([row.get(name, np.nan) for row in found.rows])[order]
+    for topic, messages in topics.items():
+        order = np.argsort(messages.times, kind="stable")
+        time = np.array(messages.times)[order] - begin
+        for name in dict.fromkeys(n for row in messages.rows for n in row):
+            values = np.array([row.get(name, np.nan) for row in messages.rows])[order]
             yield Vector(f"{topic}.{name}", time, values)

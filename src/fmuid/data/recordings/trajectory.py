@@ -77,8 +77,8 @@ def _columns(content: Mapping[str, Any]) -> tuple[dict[str, Column], dict[str, C
 
 
 def _texts(characters: Any) -> list[str]:
-    found = ("".join(row).rstrip("\0 ") for row in characters)
-    return [_decoded(text) for text in found]
+    texts = ("".join(row).rstrip("\0 ") for row in characters)
+    return [_decoded(text) for text in texts]
 
 
 def _decoded(text: str) -> str:
@@ -90,11 +90,11 @@ def _decoded(text: str) -> str:
 
 
 def _unit(description: str) -> str | None:
-    found = _UNIT.search(description)
-    if found is None:
+    match = _UNIT.search(description)
+    if match is None:
         return None
     try:
-        check_unit(found["unit"].strip())
+        check_unit(match["unit"].strip())
     except UnitError:
         return None
-    return found["unit"].strip()
+    return match["unit"].strip()

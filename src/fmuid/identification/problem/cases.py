@@ -160,7 +160,8 @@ class Case:
         used = {n: u for n, (_, u) in self.columns.items() if n in simulator.variables}
         inputs |= {n: np.append(u, np.full(self.lead, u[-1])) for n, u in used.items()}
         lines, smooth = (
-            tuple(n for n in own if n in inputs) for own in (self.task.linear, self.task.band_limited)
+            tuple(n for n in inputs_held if n in inputs)
+            for inputs_held in (self.task.linear, self.task.band_limited)
         )
         task = replace(self.task, inputs=inputs, linear=lines, band_limited=smooth)
         return replace(self, simulator=simulator, task=task)
@@ -184,9 +185,11 @@ class Case:
     def reached(self, names: tuple[str, ...]) -> tuple[_Set, ...]:
         """Return the settings of the model that depend on the parameters `names`."""
         if names not in self._reached:
-            own = self.values({name: name for name in names})
+            known = self.values({name: name for name in names})
             self._reached[names] = tuple(
-                (variable, own[name], convert) for name, (variable, convert) in self.setting.items() if name in own
+                (variable, known[name], convert)
+                for name, (variable, convert) in self.setting.items()
+                if name in known
             )
         return self._reached[names]
 
@@ -195,8 +198,8 @@ class Case:
         prediction = prediction[:, self.lead :]
         if all(channel.plain for channel in self.channels):
             return prediction
-        own = self.values(values)
-        return np.array([c.sensed(self.time, y, own) for c, y in zip(self.channels, prediction, strict=True)])
+        of_case = self.values(values)
+        return np.array([c.sensed(self.time, y, of_case) for c, y in zip(self.channels, prediction, strict=True)])
 
     def residuals(self, sensed: FloatArray) -> list[FloatArray]:
         """Return the residual vector of each criterion."""

@@ -293,14 +293,14 @@ def _spectral(kind: str, target: Target, rows: Rows, options: dict[str, Any], wh
 def _called(user: User, where: str, *arguments: FloatArray) -> FloatArray:
     """Return the result of a user's function as (m,) residuals; an invalid result fails the point."""
     try:
-        found = np.atleast_1d(np.asarray(user(*arguments), dtype=np.float64))
+        answer = np.atleast_1d(np.asarray(user(*arguments), dtype=np.float64))
     except Exception as error:
         what = f"its function raises {type(error).__name__} ({error})"
         raise SimulationError(what, where=where, fix="correct it, or the bounds") from error
-    if found.ndim > 1 or found.size == 0:
-        what = f"its function returns an array of shape {found.shape}"
+    if answer.ndim > 1 or answer.size == 0:
+        what = f"its function returns an array of shape {answer.shape}"
         raise SimulationError(what, where=where, fix="return a number, or a vector of residuals")
-    return found
+    return answer
 
 
 def _positive(number: Any, name: str, where: str) -> float:

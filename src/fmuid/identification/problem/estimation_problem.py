@@ -198,10 +198,12 @@ class Problem:
             for ks, row in zip(keys, starts, strict=True)
             for key, start in zip(ks, row, strict=True)
         }
-        found = self._predictor(jobs, self.runner)
+        outcomes = self._predictor(jobs, self.runner)
         seconds = (clock.perf_counter() - begin) / len(points)
         return [
-            self._judge(x, v, [found[k] for k in ks], seconds) if why is None else self._failed(x, v, why, seconds)
+            self._judge(x, v, [outcomes[k] for k in ks], seconds)
+            if why is None
+            else self._failed(x, v, why, seconds)
             for x, v, why, ks in zip(points, values, failures, keys, strict=True)
         ]
 

@@ -85,10 +85,10 @@ class ExactDerivatives:
             jobs += [(c.simulator, t, c.start_values(values)) for c, t in zip(problem.cases, tasks, strict=True)]
         outcomes = problem.runner(jobs)
         for (x, values), there in zip(points, moves, strict=True):
-            own, jobs = jobs[: len(problem.cases)], jobs[len(problem.cases) :]
-            runs, outcomes = outcomes[: len(own)], outcomes[len(own) :]
+            at_point, jobs = jobs[: len(problem.cases)], jobs[len(problem.cases) :]
+            runs, outcomes = outcomes[: len(at_point)], outcomes[len(at_point) :]
             known = list[tuple[Case, Task, FloatArray]]()
-            for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, own, runs, strict=True)):
+            for k, (case, (_, task, starts), run) in enumerate(zip(problem.cases, at_point, runs, strict=True)):
                 if isinstance(run, SimulationError):
                     break
                 predictions[k, tuple(starts.values())] = run[: len(task.outputs)].copy()
@@ -154,8 +154,8 @@ def _blocks(
     base, tangents = run[:n, case.lead :], run[n:, case.lead :].reshape(-1, n, len(time))
     if len(tangents) < len(moves):  # some parameters do not affect this model
         rows = [k for k, move in enumerate(moves) if _direction(case, move.slopes, tuple(values))]
-        tangents, found = np.zeros((len(moves), n, len(time))), tangents
-        tangents[rows] = found
+        tangents, previous = np.zeros((len(moves), n, len(time))), tangents
+        tangents[rows] = previous
     shown: dict[str, tuple[FloatArray, FloatArray]] = {}
     for k, channel in enumerate(case.channels):
         y, slopes = base[k], tangents[:, k]

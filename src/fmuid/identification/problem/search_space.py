@@ -162,10 +162,10 @@ class SearchSpace:
 
     def followed(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return `values` together with the parameters tied to them."""
-        found = dict(values)
+        all_values = dict(values)
         for name in self._order:
-            found[name] = self.ties[name](found)
-        return found
+            all_values[name] = self.ties[name](all_values)
+        return all_values
 
     def _untied(self, x: FloatArray) -> dict[str, float]:
         free = np.minimum(np.maximum(self._model(x), self._limits[0]), self._limits[1]).tolist()
@@ -182,15 +182,15 @@ class SearchSpace:
 
     def moves(self, x: FloatArray, values: Mapping[str, float]) -> list[Move]:
         """Return the changes of the parameters with each free one at the (n,) search point `x`."""
-        found = []
+        moves = []
         for spec, step in zip(self.free, (_STEP * self.slope(x)).tolist(), strict=True):
             slopes = {spec.name: 1.0}
             for name in self._order:
                 if not slopes.keys().isdisjoint(self.ties[name].names):
                     slopes[name] = self.ties[name].slope(values, slopes)
             value = values[spec.name]
-            found.append(Move(slopes, (min(step, spec.upper - value), max(-step, spec.lower - value))))
-        return found
+            moves.append(Move(slopes, (min(step, spec.upper - value), max(-step, spec.lower - value))))
+        return moves
 
     def _search(self, values: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -235,18 +235,18 @@ def expanded(
     fixed: dict[str, float] = {}
     least: dict[str, float] = {}  # a stage may have left a parameter close to 0
     for spec in by_name.values():
-        own = spec.of_each(owners[spec.per])
+        copies = spec.of_each(owners[spec.per])
         if spec.name in ties:
             continue
         fixed[spec.name] = best.get(spec.name, spec.start)
         if spec.name in free:
-            if not own:
+            if not copies:
                 del fixed[spec.name]
-            free_specs += [replace(s, start=best.get(s.name, s.start)) for s in own or [spec]]
-            least |= dict.fromkeys((s.name for s in own or [spec]), _reference(spec))
+            free_specs += [replace(s, start=best.get(s.name, s.start)) for s in copies or [spec]]
+            least |= dict.fromkeys((s.name for s in copies or [spec]), _reference(spec))
         else:
             known = {**spec.values, **best}
-            fixed |= {s.name: known[s.name] for s in own if s.name in known}
+            fixed |= {s.name: known[s.name] for s in copies if s.name in known}
     parsed = {name: parse(text, where=f"tie of '{name}'") for name, text in ties.items()}
     parsed |= _of_owners(by_name, parsed, owners)
     for leader in {n for e in parsed.values() for n in e.names} - parsed.keys() - {s.name for s in free_specs}:
@@ -261,7 +261,7 @@ def _of_owners(
     specs: Mapping[str, ParameterSpec], ties: Mapping[str, Expression], owners: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Expression]:
     """Return the ties of followers that have one value per run or per machine."""
-    found: dict[str, Expression] = {}
+    tied: dict[str, Expression] = {}
     for name, expression in ties.items():
         per = specs[name].per
         for leader in sorted(expression.names):
@@ -273,9 +273,9 @@ def _of_owners(
                 )
         leaders = {n for n in expression.names if n in specs and specs[n].per != "campaign"}
         for owner in owners[per]:
-            own = {leader: f"{leader}{SEPARATOR}{owner}" for leader in leaders}
-            found[f"{name}{SEPARATOR}{owner}"] = expression.renamed(own)
-    return found
+            renamed = {leader: f"{leader}{SEPARATOR}{owner}" for leader in leaders}
+            tied[f"{name}{SEPARATOR}{owner}"] = expression.renamed(renamed)
+    return tied
 
 
 def _check(spec: ParameterSpec) -> None:

@@ -82,10 +82,10 @@ def in_segments(
         length: Length | None = None
         if stage is not None and why_whole(stage, simulators[setup]) is None:
             length = "auto" if stage.observer else stage.segments
-        own = [run for run in runs if run.setup == setup]
+        recorded = [run for run in runs if run.setup == setup]
         apart = stage is not None and stage.apart and length is not None
-        found = from_campaign(campaign, own, (), simulators, apart=apart)
-        cases += found if length is None else [segmented(case, length, values) for case in found]
+        of_setup = from_campaign(campaign, recorded, (), simulators, apart=apart)
+        cases += of_setup if length is None else [segmented(case, length, values) for case in of_setup]
     order = {run.id: k for k, run in enumerate(runs)}
     return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))
 
@@ -119,7 +119,7 @@ def observed(
     ProblemError
         A model does not offer model exchange, or is not observable.
     """
-    found: list[Case] = []
+    corrected: list[Case] = []
     gains: dict[str, float] = {}
     seen: set[str] = set()
     for case in cases:
@@ -142,8 +142,8 @@ def observed(
                     raise ProblemError(f"no gain from '{output}' to '{state}'", where=where, fix=known)
                 gains[names[state, output]] = gain_value
         setting = dict(case.setting) | {name: (name, Conversion()) for name in names.values() if name in gains}
-        found.append(replace(case, simulator=model, setting=setting))
-    return tuple(found), gains
+        corrected.append(replace(case, simulator=model, setting=setting))
+    return tuple(corrected), gains
 
 
 def _require_plain(case: Case, where: str) -> None:

@@ -129,9 +129,9 @@ def accuracy(
     """Do the same for any predictions: `sensed` returns those of the channels of a case by its number and task."""
     pending = {k: [*loosest] for k, c in enumerate(cases) if c.simulator.default_tolerance is not None}
     for k, ladder in pending.items():
-        own = cases[k].task.tolerance
-        tighter = loosest[-1] if loosest else own or cases[k].simulator.default_tolerance or 0.0
-        ladder += [] if loosest else [own or 0.0]
+        given = cases[k].task.tolerance
+        tighter = loosest[-1] if loosest else given or cases[k].simulator.default_tolerance or 0.0
+        ladder += [] if loosest else [given or 0.0]
         while tighter > 1.001 * _TIGHTEST:
             tighter = max(0.1 * tighter, _TIGHTEST)
             ladder.append(tighter)

@@ -36,10 +36,10 @@ def sized(problem: Problem) -> Problem:
         sizes |= {k: _SMALLER * sizes[k] for k in pending}
         before |= after
     units = space.slope(space.start)
-    found = {space.names[k]: float(units[k] * s) for k, s in sizes.items() if s < 1.0 and k not in pending}
-    if not found:
+    small = {space.names[k]: float(units[k] * s) for k, s in sizes.items() if s < 1.0 and k not in pending}
+    if not small:
         return problem
-    scaled = problem.over(replace(space, sizes=found))
+    scaled = problem.over(replace(space, sizes=small))
     scaled.findings = problem.findings
     return scaled
 

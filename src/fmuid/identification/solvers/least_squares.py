@@ -189,10 +189,10 @@ class _Trials:
         self.measured += 1
         differences = self.differences(x)
         with suppress(SimulationError):
-            found = noise_floor(self.search.problem, x, evaluate=self._evaluate)
-            if found.residual > differences.floor.residual:
-                differences.adopt(found)
-                self.search.noise_floor = found
+            measured = noise_floor(self.search.problem, x, evaluate=self._evaluate)
+            if measured.residual > differences.floor.residual:
+                differences.adopt(measured)
+                self.search.noise_floor = measured
 
 
 def meaningless(best: Evaluation, floor: NoiseFloor) -> float:

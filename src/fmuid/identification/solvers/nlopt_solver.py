@@ -111,7 +111,7 @@ class NloptSolver:
         first = search.evaluate(start)
         if first.failure is not None and (algorithm.model or not algorithm.finite_bounds):
             raise SimulationError(f"the start point fails ({first.failure})", fix="choose other start values")
-        own = self._number("initial_step")
+        first_step = self._number("initial_step")
 
         def run(x: FloatArray, scale: float) -> Outcome:
             return around_failures(
@@ -122,14 +122,14 @@ class NloptSolver:
                 ),
             )
 
-        outcome = run(start, own)
+        outcome = run(start, first_step)
         if self.name == "cobyla" and "evaluations" not in self.options:
             # It may stop short of a minimum where goals meet in a narrow valley, so continue with smaller steps.
             for k in range(1, _RESTARTS + 1):
                 before = search.reached
                 if outcome.status is not Status.CONVERGED or before is None:
                     break
-                outcome = run(before.x, own * _SHORTER**k)
+                outcome = run(before.x, first_step * _SHORTER**k)
                 after = search.reached
                 assert after is not None
                 gain = search.cost_of(before) - search.cost_of(after)
@@ -329,18 +329,18 @@ class _Functions:
                 if self.epigraph:
                     gradient[:, n:] = 0.0
                     if not equality:
-                        own = len(self.search.violations(self._evaluate(x), equality=False))
-                        gradient[own:, n:] = -1.0
+                        count = len(self.search.violations(self._evaluate(x), equality=False))
+                        gradient[count:, n:] = -1.0
             return 0.0
 
         if self._guarded(fill, float("nan")) != 0.0:
             result[:] = np.inf
 
     def _vector(self, evaluation: Evaluation, equality: bool, level: float) -> FloatArray:
-        own = self.search.violations(evaluation, equality=equality)
+        violations = self.search.violations(evaluation, equality=equality)
         if self.search.goals_of is None or not self.epigraph or equality:
-            return own
-        return np.concatenate([own, self.search.goals_of(evaluation) - level])
+            return violations
+        return np.concatenate([violations, self.search.goals_of(evaluation) - level])
 
     def _cost(self, evaluation: Evaluation) -> float:
         return self.scale * self.search.cost_of(evaluation)

@@ -85,8 +85,8 @@ class Objectives:
         """
         names = tuple(names or dict.fromkeys(criterion.label for _, criterion in problem.criteria))
         rows = [np.array(matching(problem.labels, name), dtype=np.intp) for name in names]
-        for name, own in zip(names, rows, strict=True):
-            if not len(own):
+        for name, of_objective in zip(names, rows, strict=True):
+            if not len(of_objective):
                 raise ProblemError(
                     f"no criterion matches the objective '{name}'",
                     where=f"stage '{problem.name}'",
@@ -103,7 +103,9 @@ class Objectives:
     def __call__(self, evaluation: Evaluation) -> FloatArray:
         """Return the (k,) values of the objectives."""
         squares = self.weights * evaluation.criteria**2
-        totals = [(np.sum(squares[own]), np.sum(self.weights[own])) for own in self.rows]
+        totals = [
+            (np.sum(squares[of_objective]), np.sum(self.weights[of_objective])) for of_objective in self.rows
+        ]
         return np.array([np.sqrt(total / max(weight, np.finfo(float).tiny)) for total, weight in totals])
 
 
@@ -124,16 +126,16 @@ def trace(search: Search, spec: ParetoSpec, solver: Solver, best: Evaluation) ->
         The stage's estimate, where the search begins.
     """
     objectives = Objectives.of(search.problem, spec.objectives)
-    found: list[Evaluation] = []
+    traced: list[Evaluation] = []
     message = "complete"
     try:
-        _trace(search, solver, objectives=objectives, points=spec.points, best=best, found=found)
+        _trace(search, solver, objectives=objectives, points=spec.points, best=best, front=traced)
     except StopSearch as stop:
         message = f"incomplete ({stop.outcome.message})"
     names = search.problem.space.names
     points = tuple(
         FrontPoint(tuple(map(float, objectives(e))), {n: float(e.parameters[n]) for n in names})
-        for e in _undominated(found, objectives)
+        for e in _undominated(traced, objectives)
     )
     message = f"{message}, {len(points)} points in {search.evaluations} evaluations"
     return Front(objectives.names, points, tuple(map(float, objectives(best))), search.evaluations, message)
@@ -146,15 +148,15 @@ def _trace(
     objectives: Objectives,
     points: int,
     best: Evaluation,
-    found: list[Evaluation],
+    front: list[Evaluation],
 ) -> None:
-    """Add points to `found`, so that those found within the budget remain available."""
+    """Add points to `front`, so that those traced within the budget remain available."""
     known = [best, *_explored(search, objectives, points)]
 
     def solve(start: Evaluation, goals: Goals, limits: Goals | None = None) -> Evaluation:
         search.aim(goals, limits)
         # Behind every piece of a front there may be local ones, so the search begins at the best point known.
-        candidates = [start, *known, *found]
+        candidates = [start, *known, *front]
         allowed = [e for e in candidates if limits is None or np.all(limits(e) <= 0.0)] or [start]
         first = min(allowed, key=lambda e: float(np.max(goals(e))))
         search.evaluate(first.x)
@@ -173,7 +175,7 @@ def _trace(
 
     for i, end in enumerate(alone):  # at an end, the other objectives may be anywhere at no cost
         others = np.arange(k) != i
-        found.append(
+        front.append(
             solve(
                 end,
                 lambda e, others=others: distances(e)[others],  # type: ignore[misc]
@@ -182,17 +184,17 @@ def _trace(
         )
     rays = list(np.eye(k))
     for ray in _between(k, points):
-        near = found[int(np.argmin([np.linalg.norm(ray - other) for other in rays]))]
+        near = front[int(np.argmin([np.linalg.norm(ray - other) for other in rays]))]
         weights = np.maximum(ray, _SMALLEST_WEIGHT)
-        found.append(solve(near, lambda e, weights=weights: distances(e) / weights))  # type: ignore[misc]
+        front.append(solve(near, lambda e, weights=weights: distances(e) / weights))  # type: ignore[misc]
         rays.append(ray)
 
     if k == 2:
-        _fill(found, objectives, points, distances, solve)
+        _fill(front, objectives, points, distances, solve)
 
 
 def _fill(
-    found: list[Evaluation],
+    solved: list[Evaluation],
     objectives: Objectives,
     points: int,
     distances: Goals,
@@ -201,7 +203,7 @@ def _fill(
     """Add points in the widest gaps of a front of two objectives, where rays end at equal or dominated points."""
     tried: set[tuple[float, float]] = set()
     for _ in range(points):
-        front = _undominated(found, objectives)
+        front = _undominated(solved, objectives)
         if len(front) >= points:
             return
         places = [float(distances(e)[0]) for e in front]
@@ -211,7 +213,7 @@ def _fill(
         _, k = max(gaps)
         tried.add((places[k], places[k + 1]))
         middle = 0.5 * (places[k] + places[k + 1])
-        found.append(
+        solved.append(
             solve(front[k], lambda e: distances(e)[[1]], lambda e, m=middle: distances(e)[[0]] - m)  # type: ignore[misc]
         )
 
@@ -271,10 +273,10 @@ def _between(k: int, points: int) -> list[FloatArray]:
     return lattice
 
 
-def _undominated(found: Sequence[Evaluation], objectives: Objectives) -> list[Evaluation]:
+def _undominated(evaluations: Sequence[Evaluation], objectives: Objectives) -> list[Evaluation]:
     """Return the points that no other dominates, without duplicates, sorted by the first objective."""
-    values = np.array([objectives(e) for e in found]).reshape(len(found), len(objectives.names))
-    scaled = values / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny) if len(found) else values
+    values = np.array([objectives(e) for e in evaluations]).reshape(len(evaluations), len(objectives.names))
+    scaled = values / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny) if len(evaluations) else values
     kept: list[int] = []
     for i in np.lexsort(values.T[::-1]).tolist():
         nowhere_worse = np.all(scaled <= scaled[i] + _EQUAL, axis=1)
@@ -282,4 +284,4 @@ def _undominated(found: Sequence[Evaluation], objectives: Objectives) -> list[Ev
         same = any(np.all(np.abs(scaled[i] - scaled[j]) <= _EQUAL) for j in kept)
         if not same and not np.any(better):
             kept.append(i)
-    return [found[i] for i in kept]
+    return [evaluations[i] for i in kept]

@@ -185,22 +185,22 @@ class Search:
             keys.append(x.tobytes())
             if keys[-1] not in wishes or wish.purpose == "search":
                 wishes[keys[-1]] = wish._replace(x=x)
-        found = {key: self.complete(e) for key in wishes if (e := self._recent.get(key)) is not None}
+        evaluations = {key: self.complete(e) for key in wishes if (e := self._recent.get(key)) is not None}
         recalled = set()
         for key, wish in wishes.items():
-            if key not in found and (old := self.recall(wish.x, self.needs_residuals)) is not None:
-                found[key] = old
+            if key not in evaluations and (old := self.recall(wish.x, self.needs_residuals)) is not None:
+                evaluations[key] = old
                 recalled.add(key)
-        new = {key: wish for key, wish in wishes.items() if key not in found}
+        new = {key: wish for key, wish in wishes.items() if key not in evaluations}
         if new:
-            found |= zip(new, self._simulate(list(new.values())), strict=True)
+            evaluations |= zip(new, self._simulate(list(new.values())), strict=True)
         for key, wish in wishes.items():
             if key in new or key in recalled:
-                self._count(found[key], wish.purpose, recorded=key in recalled)
-                self._remember(key, found[key])
+                self._count(evaluations[key], wish.purpose, recorded=key in recalled)
+                self._remember(key, evaluations[key])
             elif wish.purpose == "search":
-                self._compare(found[key])
-        return [found[key] for key in keys]
+                self._compare(evaluations[key])
+        return [evaluations[key] for key in keys]
 
     @property
     def plain(self) -> bool:
@@ -233,8 +233,8 @@ class Search:
 
     def violations(self, evaluation: Evaluation, *, equality: bool) -> FloatArray:
         """Return the constraint violations of one kind, limits included among the inequalities."""
-        own = evaluation.constraints[self._equality if equality else ~self._equality]
-        return own if equality else np.concatenate([own, self.limits_of(evaluation)])
+        violations = evaluation.constraints[self._equality if equality else ~self._equality]
+        return violations if equality else np.concatenate([violations, self.limits_of(evaluation)])
 
     def feasible(self, evaluation: Evaluation) -> bool:
         """Return whether every constraint is satisfied."""

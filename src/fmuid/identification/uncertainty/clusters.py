@@ -99,14 +99,14 @@ def clustered(
         Samples over which residuals are correlated; None if they are white, so that blocks of time show no more.
     """
     runs = _runs(problem, residuals, j, noise)
-    found = [_between(runs, RUNS)] if len(runs) >= _FEWEST else []
+    clusterings = [_between(runs, RUNS)] if len(runs) >= _FEWEST else []
     if len(runs) < _ENOUGH and memory is not None:
         longest = min(len(case.time) for case in problem.cases)
         parts = min(-(-_ENOUGH // len(runs)), longest // max(_SHORTEST, 2 * memory))
         if parts > 1 and len(runs) * parts >= _FEWEST:
             blocks = [_Part(residuals[rows], j[rows], noise[rows]) for rows in _rows(problem, parts)]
-            found.append(_between(blocks, BLOCKS))
-    return found
+            clusterings.append(_between(blocks, BLOCKS))
+    return clusterings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,12 +122,12 @@ def _runs(problem: Problem, residuals: FloatArray, j: FloatArray, noise: FloatAr
     """Return the parts of the runs; those of repeats add up to their case's."""
     parts: list[_Part] = []
     for case in problem.cases:
-        own = [k for k, (owner, _) in enumerate(problem.criteria) if owner is case]
+        of_case = [k for k, (owner, _) in enumerate(problem.criteria) if owner is case]
         channels = {c.signal: c for c in case.channels}
         repeats: list[list[_Part]] = [[] for _ in case.channels[0].repeats]
-        if not all(problem.criteria[k][1].affine and problem.criteria[k][1].rows is not None for k in own):
+        if not all(problem.criteria[k][1].affine and problem.criteria[k][1].rows is not None for k in of_case):
             repeats = [[]]
-        for k in own:
+        for k in of_case:
             rows, criterion = problem.slices[k], problem.criteria[k][1]
             whole, channel = _Part(residuals[rows], j[rows], noise[rows]), channels[criterion.signal]
             if criterion.rows is None or len(repeats) == 1:

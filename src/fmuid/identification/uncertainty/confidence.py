@@ -165,11 +165,11 @@ def uncertainty_of(
     if n > 1 and first.complete and not active.texts and scatter.degrees > 0.0:
         covariance = _widened(problem, evaluate, here, j, covariance)
     spoken = covariance if scatter.degrees > 0.0 else None
-    found = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=spoken)
-    found = found if first.complete else first
-    own = scatter.degrees
+    separable = identifiability(problem, best.x, j, scale, tolerance=tolerance, covariance=spoken)
+    separable = separable if first.complete else first
+    plain_degrees = scatter.degrees
     slope = problem.space.slope(best.x)
-    degrees = np.array([scatter.robust[k].degrees[k] if k in scatter.robust else own for k in range(n)])
+    degrees = np.array([scatter.robust[k].degrees[k] if k in scatter.robust else plain_degrees for k in range(n)])
     parts = np.column_stack([np.maximum(np.diag(covariance), 0.0), recorded.bias**2])
     biased: list[int] = np.flatnonzero(parts[:, 1] > _BIASED**2 * parts[:, 0]).tolist()
     if biased:
@@ -194,7 +194,7 @@ def uncertainty_of(
     sound = (variance >= -1e-9 * np.max(np.abs(variance))) & (scatter.degrees > 0.0)
     fixed = np.diag(bread) < 1e-9 * np.diag(free)  # does not move along the constraints
     names = problem.space.names
-    known = [n not in found.undetermined and bool(s) for n, s in zip(names, sound & ~fixed, strict=True)]
+    known = [n not in separable.undetermined and bool(s) for n, s in zip(names, sound & ~fixed, strict=True)]
     spare = max(scatter.residuals - scatter.parameters, 1)
     naive = np.sqrt(np.diag(bread) * float(here.residuals @ here.residuals) / spare)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -208,8 +208,8 @@ def uncertainty_of(
             (low[name], high[name]) if k else None for name, k in zip(problem.space.names, known, strict=True)
         ),
         correlation=_matrix(np.nan_to_num(correlation)),
-        degrees_of_freedom=_limited(own),
-        identifiability=found,
+        degrees_of_freedom=_limited(plain_degrees),
+        identifiability=separable,
         whiteness=whiteness,
         naive_errors=tuple(float(s) if k else None for s, k in zip(slope * naive, known, strict=True)),
         noise_floor=floor.residual,
@@ -368,10 +368,10 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Seque
         held = ", ".join(f"'{text}'" for text in active.texts)
         notes.append(f"standard errors apply along the active constraint on {held}")
     for cluster in {id(scatter.robust[k]): scatter.robust[k] for k in sorted(scatter.plain)}.values():
-        found = ", ".join(names[k] for k in sorted(scatter.plain) if scatter.robust[k] is cluster)
+        names_shown = ", ".join(names[k] for k in sorted(scatter.plain) if scatter.robust[k] is cluster)
         notes.append(
-            f"{found}: robust standard errors, from the scatter between {cluster.clusters} {cluster.of}, which is "
-            "larger than their residuals explain"
+            f"{names_shown}: robust standard errors, from the scatter between {cluster.clusters} {cluster.of}, "
+            "which is larger than their residuals explain"
         )
     if scatter.few and any(map(_missed, scatter.whiteness)):
         count = "1 run does" if scatter.runs == 1 else f"{scatter.runs} runs do"

@@ -51,30 +51,32 @@ class Known:
         slope = joint.space.slope(joint.space.start)[len(space) :]
         return Held(joint, np.array([self.rows[n] for n in names]) / slope[:, None], self.degrees)
 
-    def after(self, problem: Problem, found: Uncertainty | None, values: Mapping[str, float]) -> Known:
+    def after(self, problem: Problem, uncertainty: Uncertainty | None, values: Mapping[str, float]) -> Known:
         """Return the knowledge after the stage `problem`, given its uncertainty and its final `values`."""
         space = problem.space
-        own = np.zeros((0, 0))
-        if found is not None:
-            slope = space.slope(np.array(found.point))
-            scatter, axes = np.linalg.eigh(np.array(found.covariance) - np.array(found.inherited or 0.0))
-            own = slope[:, None] * axes * np.sqrt(np.maximum(scatter, 0.0))
-        rows = {n: np.append(row, np.zeros(len(own))) for n, row in self.rows.items() if n not in space.ties}
-        errors = [] if found is None else found.standard_errors
+        sources = np.zeros((0, 0))
+        if uncertainty is not None:
+            slope = space.slope(np.array(uncertainty.point))
+            scatter, axes = np.linalg.eigh(
+                np.array(uncertainty.covariance) - np.array(uncertainty.inherited or 0.0)
+            )
+            sources = slope[:, None] * axes * np.sqrt(np.maximum(scatter, 0.0))
+        rows = {n: np.append(row, np.zeros(len(sources))) for n, row in self.rows.items() if n not in space.ties}
+        errors = [] if uncertainty is None else uncertainty.standard_errors
         sure = {n for n, error in zip(space.names, errors, strict=False) if error is not None}
         moved = {}
         for k, name in enumerate(space.names):
             rows.pop(name, None)
-            if found is not None and name in sure:
+            if uncertainty is not None and name in sure:
                 inherited = sum(
-                    (s * self.rows[h] for h, s in zip(found.held, found.held_slopes[k], strict=True)),
+                    (s * self.rows[h] for h, s in zip(uncertainty.held, uncertainty.held_slopes[k], strict=True)),
                     np.zeros(len(self.degrees)),
                 )
-                moved[name] = np.append(inherited, own[k])
+                moved[name] = np.append(inherited, sources[k])
         rows |= moved
-        rows |= _tied(problem, rows, values, len(self.degrees) + len(own))
-        freedom = 1.0 if found is None else found.degrees_of_freedom
-        degrees = np.append(self.degrees, np.full(len(own), np.inf if freedom is None else freedom))
+        rows |= _tied(problem, rows, values, len(self.degrees) + len(sources))
+        freedom = 1.0 if uncertainty is None else uncertainty.degrees_of_freedom
+        degrees = np.append(self.degrees, np.full(len(sources), np.inf if freedom is None else freedom))
         unsure = (self.unsure | set(space.names)) - sure - space.ties.keys()
         return Known(rows, degrees, unsure)
 
@@ -84,12 +86,12 @@ def _tied(
 ) -> dict[str, FloatArray]:
     """Return the rows of parameters that are tied to those in `rows`, by differences."""
     ties = problem.space.ties
-    found = {name: np.zeros(sources) for name in ties}
+    rows_of = {name: np.zeros(sources) for name in ties}
     for k in range(sources):
         above, below = (
             problem.space.followed(dict(values) | {n: values[n] + step * row[k] for n, row in rows.items()})
             for step in (_STEP, -_STEP)
         )
-        for name, row in found.items():
+        for name, row in rows_of.items():
             row[k] = (above[name] - below[name]) / (2.0 * _STEP)
-    return {name: row for name, row in found.items() if row.any()}
+    return {name: row for name, row in rows_of.items() if row.any()}

@@ -95,7 +95,7 @@ def _noisier(problem: Problem, noises: Sequence[Mapping[str, FloatArray]], sign:
 
 
 def _evaluated(problem: Problem, x: FloatArray) -> Evaluation:
-    found = problem.evaluate(x)
-    if found.failure is not None:
-        raise SimulationError(found.failure)
-    return found
+    evaluation = problem.evaluate(x)
+    if evaluation.failure is not None:
+        raise SimulationError(evaluation.failure)
+    return evaluation

@@ -80,17 +80,17 @@ def posterior_of(
 
     def log_probability(points: FloatArray) -> FloatArray:
         inside = np.all((points >= problem.space.lower) & (points <= problem.space.upper), axis=1)
-        found = np.full(len(points), -np.inf)
+        log_density = np.full(len(points), -np.inf)
         for k, e in zip(
             np.flatnonzero(inside), evaluate(list(points[inside])) if inside.any() else [], strict=True
         ):
             if e.ok:
                 split = len(e.residuals) - count
                 likely, prior = e.residuals[:split], e.residuals[split:]
-                found[k] = -0.5 * (float(likely @ likely) / temperature + float(prior @ prior))
+                log_density[k] = -0.5 * (float(likely @ likely) / temperature + float(prior @ prior))
         # A flat prior of the value is exp(x) in a logarithmic coordinate.
         logarithmic = [s.scale == "log" for s in problem.space.free]
-        return np.asarray(found + points[:, logarithmic].sum(axis=1))
+        return np.asarray(log_density + points[:, logarithmic].sum(axis=1))
 
     walkers = max(4 * n, 12)
     steps = max(-(-2 * draws // walkers), 40)

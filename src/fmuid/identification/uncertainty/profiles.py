@@ -93,19 +93,19 @@ def profile_of(
     t = float(stdtrit(estimate.freedom[i], 0.5 + 0.5 * level))
     # The part that the others cannot follow is the parameter's own share of the residuals.
     allowed = float((t * spread) ** 2 / np.linalg.pinv(j.T @ j, hermitian=True)[i, i])
-    found = {float(x[i]): 0.0}
+    costs = {float(x[i]): 0.0}
     ends: list[float | None] = []
     for sign, bound in ((-1.0, problem.space.lower[i]), (1.0, problem.space.upper[i])):
         walk = _Walk(problem, evaluate, j, best=best, i=i, allowed=allowed)
         distance = walk.crossing(sign, t * spread, abs(bound - x[i]))
-        found |= walk.found
+        costs |= walk.found
         point = x.copy()
         point[i] = x[i] + sign * distance
         ends.append(problem.space.to_model(point)[name] if np.isfinite(distance) else None)
-    order = sorted(found)
+    order = sorted(costs)
     points = [np.where(np.arange(len(x)) == i, value, x) for value in order]
     values = tuple(problem.space.to_model(point)[name] for point in points)
-    return Profile(name, values, tuple(found[value] for value in order), (ends[0], ends[1]), level)
+    return Profile(name, values, tuple(costs[value] for value in order), (ends[0], ends[1]), level)
 
 
 class _Walk:

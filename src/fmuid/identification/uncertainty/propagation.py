@@ -207,7 +207,7 @@ def _searched(
     x, n = np.array(estimate.point), len(estimate.point)
     values, vectors = np.linalg.eigh(np.array(estimate.covariance))
     root = vectors * np.sqrt(np.maximum(values, 0.0)) * float(np.sqrt(chdtri(n, 1.0 - LEVEL)))
-    found = np.zeros(len(problem.criteria))
+    largest = np.zeros(len(problem.criteria))
 
     def at(place: FloatArray) -> FloatArray:
         u = 2.0 * place - 1.0  # a unit cube around the ball
@@ -220,12 +220,12 @@ def _searched(
             (there,) = evaluate([at(place)])
             if not there.ok:
                 return 0.0
-            found[:] = np.maximum(found, there.criteria)
+            largest[:] = np.maximum(largest, there.criteria)
             return -float(there.criteria[k])
 
         start = 0.5 + 0.5 * np.linalg.pinv(root) @ (corner.x - x)
         minimised(cost, np.clip(start, 0.0, 1.0), step=0.2, evaluations=_SEARCHED * (n + 1))
-    return found
+    return largest
 
 
 def _farthest(m: FloatArray, r: FloatArray, radius: float) -> FloatArray:

@@ -88,8 +88,8 @@ def sensitivity_of(problem: Problem, x: FloatArray | None = None) -> Sensitivity
     log = np.array([spec.scale == "log" for spec in problem.space.free])
     scale = np.where(log | (x == 0.0), 1.0, np.abs(x))
     effect = np.array([np.sqrt(np.mean((0.01 * scale * j[rows]) ** 2, axis=0)) for rows in problem.slices]).T
-    found = identifiability(problem, x, j, differences.column_scale(j), tolerance=differences.tolerance)
-    return Sensitivity(problem.space.names, problem.labels, effect, step / scale, floor, found)
+    separable = identifiability(problem, x, j, differences.column_scale(j), tolerance=differences.tolerance)
+    return Sensitivity(problem.space.names, problem.labels, effect, step / scale, floor, separable)
 
 
 def excitation(campaign: Campaign) -> tuple[str, ...]:

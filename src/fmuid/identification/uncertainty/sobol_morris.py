@@ -69,8 +69,8 @@ class OutputSensitivity:
 
     def ends(self, method: Method, sign: float) -> FloatArray:
         """(P,) lower (-1) or upper (1) ends of the intervals of `strengths`."""
-        found = self.indices.get(STRONGEST[method], ())
-        return self._shares(method, [i.value + sign * (i.half_width or 0.0) for i in found])
+        strongest = self.indices.get(STRONGEST[method], ())
+        return self._shares(method, [i.value + sign * (i.half_width or 0.0) for i in strongest])
 
     def _shares(self, method: Method, values: Sequence[float]) -> FloatArray:
         if method == "sobol":
@@ -138,8 +138,8 @@ class GlobalSensitivity:
             known = output.scalars[np.isfinite(output.scalars)]
             indices = {
                 name: {
-                    kind: {"value": found[k].value, "half_width": found[k].half_width}
-                    for kind, found in output.indices.items()
+                    kind: {"value": of_kind[k].value, "half_width": of_kind[k].half_width}
+                    for kind, of_kind in output.indices.items()
                 }
                 for k, name in enumerate(self.names)
                 if output.indices
@@ -169,15 +169,15 @@ class GlobalSensitivity:
 
     def remarks(self) -> list[str]:
         """Return the meaning of the indices, in sentences."""
-        found = []
+        remarks = []
         if self.negligible:
             below = "of the largest effect" if self.method == "morris" else "of the variance"
-            found.append(f"Below 1 % {below} in every output: {', '.join(self.negligible)}.")
+            remarks.append(f"Below 1 % {below} in every output: {', '.join(self.negligible)}.")
         if self.unmoved:
-            found.append(f"Moved by no parameter: {', '.join(self.unmoved)}.")
+            remarks.append(f"Moved by no parameter: {', '.join(self.unmoved)}.")
         if self.failed:
             what = "base samples" if self.method == "sobol" else "trajectories"
-            found.append(
+            remarks.append(
                 f"{counted(self.failed, 'draw')} of {len(self.draws)} could not be simulated ({self.failure}); the"
                 f" {what} with them are left out, {self.samples} remain. Narrow the bounds to what the model"
                 " bears."
@@ -190,10 +190,10 @@ class GlobalSensitivity:
         ]
         if widths and max(widths)[0] > _WIDE:
             width, name, label = max(widths)
-            found.append(f"Widest interval: ± {width:.2g}, total of {name} in {label}; more samples narrow it.")
+            remarks.append(f"Widest interval: ± {width:.2g}, total of {name} in {label}; more samples narrow it.")
         if self.interrupted:
-            found.append(f"Interrupted after {counted(len(self.draws), 'draw')}.")
-        return found
+            remarks.append(f"Interrupted after {counted(len(self.draws), 'draw')}.")
+        return remarks
 
     def __str__(self) -> str:
         """Return each parameter's strongest output, and the remarks."""
@@ -289,13 +289,13 @@ def global_sensitivity_of(
         size = len(space) + 1
     draws = np.stack([_quantiles(s, u, r) for s, u, r in zip(space.free, unit.T, ranges, strict=True)], axis=1)
     labels, units, scalars_of = _scalars(problem, of, here)
-    found, failure, interrupted = _simulated(problem, space, draws, size, scalars_of, say=say)
-    unit, draws = unit[: len(found)], draws[: len(found)]
-    failed = ~np.isfinite(found).all(axis=1)
+    simulated, failure, interrupted = _simulated(problem, space, draws, size, scalars_of, say=say)
+    unit, draws = unit[: len(simulated)], draws[: len(simulated)]
+    failed = ~np.isfinite(simulated).all(axis=1)
     kept = np.repeat(~failed.reshape(-1, size).any(axis=1), size)
     if kept.sum() < _FEWEST * size:
         raise SimulationError(
-            f"{failed.sum()} of {len(found)} draws cannot be simulated ({failure})",
+            f"{failed.sum()} of {len(simulated)} draws cannot be simulated ({failure})",
             where=method,
             fix="narrow the bounds to what the model bears",
         )
@@ -313,7 +313,7 @@ def global_sensitivity_of(
         }
 
     outputs = []
-    for label, u, column, noise in zip(labels, units, found.T, _own_noise(problem, of, here), strict=True):
+    for label, u, column, noise in zip(labels, units, simulated.T, _own_noise(problem, of, here), strict=True):
         varies = float(np.ptp(column[kept])) > max(noise, 1e-9 * float(np.max(np.abs(column[kept]))))
         outputs.append(OutputSensitivity(label, u, read_only(column), analysed(column[kept]) if varies else {}))
     return GlobalSensitivity(

@@ -123,7 +123,7 @@ class _PowersOfTen(LogFormatterSciNotation):
 
 class _Decimals(ScalarFormatter):
     def get_offset(self) -> str:
-        return _FACTOR.sub(lambda found: f"×{_power(found)}", super().get_offset())
+        return _FACTOR.sub(lambda match: f"×{_power(match)}", super().get_offset())
 
 
 def _power(exponent: re.Match[str]) -> str:

@@ -51,10 +51,10 @@ def unit_conversion(where: object, source: str, source_unit: str | None, target:
     if not source_unit or not unit:
         return Linear()
     try:
-        found = conversion(source_unit, unit)
+        convert = conversion(source_unit, unit)
     except UnitError as error:
         raise UnitError(f"{source} -> {target}: {error.what}", where=where, fix=error.fix) from None
-    return Linear(found.factor, found.offset)
+    return Linear(convert.factor, convert.offset)
 
 
 def check_connections(where: Path, components: Mapping[str, Fmu], connections: Sequence[Connection]) -> None:

@@ -90,7 +90,7 @@ class CoupledModel(Simulator):
         check_ports(path, components, connections, ports)
         self._main = main
         self._reload, self._experiment = reload, experiment or {}
-        self._starts = {name: dict(own) for name, own in (starts or {}).items()}
+        self._starts = {name: dict(values) for name, values in (starts or {}).items()}
         self._wiring = self._wire(components)
         self._ports = {port.name: port for port in ports}
         if main and main not in components:
@@ -165,8 +165,8 @@ class CoupledModel(Simulator):
         """The suggestions of the FMUs: longest ``stop``, shortest ``step`` (s) and smallest ``tolerance``."""
         every = [fmu.default_experiment for fmu in self.components.values()]
         choices = {"start": min, "stop": max, "step": min, "tolerance": min}
-        found = {k: [e[k] for e in every if k in e] for k in choices}
-        return {k: choices[k](values) for k, values in found.items() if values} | dict(self._experiment)
+        stated = {k: [e[k] for e in every if k in e] for k in choices}
+        return {k: choices[k](values) for k, values in stated.items() if values} | dict(self._experiment)
 
     def differentiates(self, names: Collection[str]) -> bool:
         """Return whether runs can be differentiated with respect to `names`.
@@ -248,7 +248,7 @@ class CoupledModel(Simulator):
             p for port in self.ports if port.causality == "input" for p, _ in port.ends
         }
         passed = {p for port in self.ports if port.causality == "parameter" for p, _ in port.ends}
-        found: dict[str, Variable] = {}
+        variables: dict[str, Variable] = {}
         for name, place in self._places.items():
             variable = replace(self.components[place.component].variables[place.variable], name=name)
             start = self._starts.get(place.component, {}).get(place.variable, variable.start)
@@ -258,7 +258,7 @@ class CoupledModel(Simulator):
                 variable = replace(variable, causality="calculatedParameter", start=None)
             elif start != variable.start:
                 variable = replace(variable, start=start)
-            found[name] = variable
+            variables[name] = variable
         for port in self.ports:
             place, linear = port.ends[0]
             end = self.components[place.component].variables[place.variable]
@@ -267,8 +267,8 @@ class CoupledModel(Simulator):
                 start = None
             else:
                 start = (start - linear.offset) / linear.factor
-            found[port.name] = Variable(port.name, port.causality, end.variability, port.unit, start)
-        return found
+            variables[port.name] = Variable(port.name, port.causality, end.variability, port.unit, start)
+        return variables
 
     def _lay_out(self, task: Task, parameters: Mapping[str, float]) -> Layout:
         key = id(task), tuple(parameters)
@@ -294,8 +294,8 @@ class CoupledModel(Simulator):
             signalled = {p for ends in inputs.values() for p, _ in ends} | {k.target for k in self.connections}
             merged = {
                 name: {v: x for v, x in self._starts.get(name, {}).items() if Place(name, v) not in signalled}
-                | own
-                for name, own in starts.items()
+                | values
+                for name, values in starts.items()
             }
             layout = Layout(
                 self._wiring,
@@ -341,21 +341,21 @@ class CoupledModel(Simulator):
     def _along(self, directions: Sequence[Mapping[str, float]]) -> dict[str, list[dict[str, float]]]:
         """Return the directions by the components that they reach."""
         moved = {place.component for along in directions for name in along for place, _ in self._set_by(name)}
-        found = {component: [dict[str, float]() for _ in directions] for component in self._reached(moved)}
+        moves = {component: [dict[str, float]() for _ in directions] for component in self._reached(moved)}
         for j, along in enumerate(directions):
             for name, weight in along.items():
                 for place, linear in self._set_by(name):
-                    own = found[place.component][j]
-                    own[place.variable] = own.get(place.variable, 0.0) + weight * linear.factor
-        return found
+                    move = moves[place.component][j]
+                    move[place.variable] = move.get(place.variable, 0.0) + weight * linear.factor
+        return moves
 
     def _by_component(self, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
         """Return start values by component and variable."""
-        found: dict[str, dict[str, float]] = {name: {} for name in self.components}
+        by_component: dict[str, dict[str, float]] = {name: {} for name in self.components}
         for name, value in values.items():
             for place, linear in self._set_by(name):
-                found[place.component][place.variable] = linear(value)
-        return found
+                by_component[place.component][place.variable] = linear(value)
+        return by_component
 
     def _set_by(self, name: str) -> Sequence[tuple[Place, Linear]]:
         variable = self._known(name)
@@ -480,5 +480,5 @@ def _master() -> Callable[[System, int, float], int]:
     compiled = library()
     compiled.fmuid_run_coupled.argtypes = [POINTER(System), c_int32, c_double]
     compiled.fmuid_run_coupled.restype = c_int32
-    found: Callable[[System, int, float], int] = compiled.fmuid_run_coupled
-    return found
+    master: Callable[[System, int, float], int] = compiled.fmuid_run_coupled
+    return master

@@ -72,7 +72,9 @@ def _dependencies(
 def _loops(connections: Sequence[Connection], feedthrough: Feedthrough) -> list[set[str]]:
     """Return the components of each algebraic loop; loops that share a component are one."""
     arrows = [(k.source, k.target) for k in connections]
-    arrows += [(Place(c, u), Place(c, y)) for c, own in feedthrough.items() for y, us in own.items() for u in us]
+    arrows += [
+        (Place(c, u), Place(c, y)) for c, outputs in feedthrough.items() for y, us in outputs.items() for u in us
+    ]
     number = {place: i for i, place in enumerate(dict.fromkeys(p for arrow in arrows for p in arrow))}
     loops: list[set[str]] = []
     if not arrows:
@@ -83,9 +85,9 @@ def _loops(connections: Sequence[Connection], feedthrough: Feedthrough) -> list[
     for strong in range(max(label) + 1):
         places = [p for p, i in number.items() if label[i] == strong]
         if len(places) > 1:
-            found = {p.component for p in places}
-            for other in [g for g in loops if g & found]:
+            joined = {p.component for p in places}
+            for other in [g for g in loops if g & joined]:
                 loops.remove(other)
-                found |= other
-            loops.append(found)
+                joined |= other
+            loops.append(joined)
     return loops

@@ -87,15 +87,15 @@ def load_system(path: str | Path, master: Master | None = None, main: str = "") 
     def make() -> CoupledModel:
         folder = extract(file)
         try:
-            found = read_system(file, folder)
+            system = read_system(file, folder)
             model = CoupledModel(
                 file,
-                found.components,
-                found.connections,
-                ports=found.ports,
+                system.components,
+                system.connections,
+                ports=system.ports,
                 master=master,
-                starts=found.starts,
-                experiment=found.experiment,
+                starts=system.starts,
+                experiment=system.experiment,
                 main=main,
                 reload=(load_system, (file, master, main)),
             )

@@ -225,7 +225,7 @@ class _Reader:
 
     def starts(self) -> dict[str, dict[str, float]]:
         """Return the start values that parameter bindings give, by component and variable."""
-        found: dict[str, dict[str, float]] = {name: {} for name in self.components}
+        starts: dict[str, dict[str, float]] = {name: {} for name in self.components}
         for owner, is_system, values in self.bound:
             fitting = 0
             for name, value in values.items():
@@ -233,7 +233,7 @@ class _Reader:
                 for place, linear, unit in self._bound_to(owner, is_system, name):
                     fmu = self.components[place.component]
                     number = value.number(place, fmu, unit, self.path)
-                    found[place.component][place.variable] = linear(number)
+                    starts[place.component][place.variable] = linear(number)
                     fitting += 1
             if values and not fitting:
                 first = next(iter(values))
@@ -243,7 +243,7 @@ class _Reader:
                 raise self._refused(
                     f"none of the parameters bound to '{owner or 'the system'}' exists", suggestion(first, known)
                 )
-        return {name: own for name, own in found.items() if own}
+        return {name: of_component for name, of_component in starts.items() if of_component}
 
     def _bound_to(self, owner: str, is_system: bool, name: str) -> Iterator[tuple[Place, Linear, str | None]]:
         if not is_system:
@@ -269,15 +269,15 @@ class _Reader:
 
     def _ends(self, origin: _Node) -> tuple[tuple[Place, Linear], ...]:
         """Return the variables of components that follow a system's connector."""
-        found = []
+        ends = []
         for target in self.inbound:
             node, linear = target, Linear()
             while node in self.inbound and not target.is_system and node != origin:
                 node, before = self.inbound[node]
                 linear = before.then(linear)
             if node == origin and not target.is_system:
-                found.append((Place(target.owner, target.name), linear))
-        return tuple(found)
+                ends.append((Place(target.owner, target.name), linear))
+        return tuple(ends)
 
     def _unit_of(self, end: tuple[Place, Linear]) -> str | None:
         place, linear = end

@@ -71,7 +71,7 @@ def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, V
             binding, f"{SSD}ParameterValues", f"{SSV}ParameterSet", kind=_SET, path=path, folder=folder, what=what
         )
         prefix = binding.get("prefix", "")
-        found = {}
+        bound = {}
         for parameter in values.iterfind(f"{SSV}Parameters/{SSV}Parameter"):
             name = f"{prefix}{parameter.get('name')}"
             typed = next(iter(parameter), None)
@@ -79,19 +79,19 @@ def bindings(element: Element, path: Path, folder: Path) -> Iterator[dict[str, V
                 raise FmuError(f"parameter '{name}' has no value", where=path, fix="export the system again")
             kind = typed.tag.removeprefix(SSV)
             unit = (typed.get("unit") or "").removeprefix("[").removesuffix("]")  # as SysML tools write it
-            found[name] = Value(name, kind, typed.get("value", ""), unit or None)
+            bound[name] = Value(name, kind, typed.get("value", ""), unit or None)
         mapping = binding.find(f"{SSD}ParameterMapping")
         if mapping is not None:
             what = f"a parameter mapping of '{element.get('name')}'"
             entries = _content(
                 mapping, None, f"{SSM}ParameterMapping", kind=_MAPPING, path=path, folder=folder, what=what
             )
-            found = {
-                entry.get("target", ""): _mapped(found[entry.get("source", "")], entry, path)
+            bound = {
+                entry.get("target", ""): _mapped(bound[entry.get("source", "")], entry, path)
                 for entry in entries.iterfind(f"{SSM}MappingEntry")
-                if entry.get("source") in found
+                if entry.get("source") in bound
             }
-        yield found
+        yield bound
 
 
 def linear_of(element: Element, path: Path, what: str) -> Linear:

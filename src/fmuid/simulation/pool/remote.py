@@ -117,8 +117,8 @@ class _Batches:
             for batch, answer in zip(batches, answers, strict=True):
                 if isinstance(answer, Raised):
                     raise answer.error
-                found = zip(batch, answer.outcomes, strict=True)
-                outcomes |= {k: outcome for k, outcome in found if outcome is not None}
+                answered = zip(batch, answer.outcomes, strict=True)
+                outcomes |= {k: outcome for k, outcome in answered if outcome is not None}
             if len(outcomes) == len(jobs):
                 return [outcomes[k] for k in range(len(jobs))]
             lacking = {digest for k, job in enumerate(named) if k not in outcomes for digest in job[:2]}
@@ -198,17 +198,17 @@ def dask_executor(address: str) -> Iterator[Executor]:
 
 
 def _of_client(client: Any, address: str) -> Executor:
-    found = client.run(version, "fmuid", on_error="return")
-    if not found:
+    versions = client.run(version, "fmuid", on_error="return")
+    if not versions:
         raise FmuidError("the cluster has no workers", where=address, fix="start some with: dask worker ADDRESS")
-    for worker, its in found.items():
+    for worker, its in versions.items():
         if its != version("fmuid"):
             raise FmuidError(
                 f"worker {worker} has {'fmuid ' + its if isinstance(its, str) else 'no fmuid'}",
                 where=address,
                 fix=f"install fmuid {version('fmuid')} there",
             )
-    client.direct_to_workers = client.sync(_reaches, client, list(found))
+    client.direct_to_workers = client.sync(_reaches, client, list(versions))
     executor: Executor = client.get_executor(pure=False)
     return executor
 
@@ -285,7 +285,7 @@ def simulate_supervised(jobs: Sequence[Named], enclosed: Mapping[str, Parcel], l
                 if {model, task} <= _held.parcels.keys()
             }
             futures = _held.pool(limits).submit_packed(list(there.values()))
-        found = dict(zip(there, outcomes_of(futures), strict=True))
+        outcomes = dict(zip(there, outcomes_of(futures), strict=True))
     except Exception as error:
         return Raised(error)
-    return Simulated([found.get(k) for k in range(len(jobs))], time.perf_counter() - begun)
+    return Simulated([outcomes.get(k) for k in range(len(jobs))], time.perf_counter() - begun)

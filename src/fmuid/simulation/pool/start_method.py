@@ -50,11 +50,11 @@ def _sockets_below(parent: str) -> bool:
     usual = tempfile.tempdir
     tempfile.tempdir = str(scratch.path)
     try:
-        found = util.get_temp_dir()
+        folder = util.get_temp_dir()
     finally:
         tempfile.tempdir = usual
-    if Path(found).parent == scratch.path:
+    if Path(folder).parent == scratch.path:
         util.Finalize(None, scratch.remove, exitpriority=-101)  # after its contents
     else:
         scratch.remove()
-    return len(os.fsencode(found)) + len("/listener-12345678") <= _LONGEST
+    return len(os.fsencode(folder)) + len("/listener-12345678") <= _LONGEST
