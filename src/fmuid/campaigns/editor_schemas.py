@@ -19,10 +19,10 @@ import msgspec
 from fmuid.campaigns import campaign_toml
 from fmuid.core.campaign import CriterionSpec, DesignSpec, Limit, ModelSpec, ParameterSpec, StageSpec
 from fmuid.core.files import write_atomically
+from fmuid.core.toml_tables import SCHEMAS
 from fmuid.effects import effects_file
 from fmuid.effects.effect import Effect
 
-_ADDRESS = "https://raw.githubusercontent.com/fmuid/fmuid/main/docs/schemas"
 FILES = {"campaign.schema.json": campaign_toml.document_type, "effects.schema.json": effects_file.document_type}
 # Types of tables -> public types whose docstrings describe their fields.
 _DESCRIBED = {
@@ -47,7 +47,7 @@ def schema(name: str) -> dict[str, Any]:
                 del field["default"]
             if key in texts:
                 field["description"] = texts[key]
-    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"{_ADDRESS}/{name}"}
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"{SCHEMAS}/{name}"}
     document: dict[str, Any] = json.loads(msgspec.json.encode(head | dict(made) | {"$defs": components}))
     return document
 

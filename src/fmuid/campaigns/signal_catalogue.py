@@ -23,7 +23,7 @@ _WORDS = {
     ("input", "lag"): ("'{}' acts with a first-order lag", "Bandwidth of the actuator"),
     ("input", "delay"): (
         "'{}' acts late",
-        "Communication and sampling; about half a sample: `interpolation` in campaign.toml",
+        "Communication and sampling; about half a sample: `timing` in campaign.toml",
     ),
     ("input", "saturation"): (
         "'{}' acts less and less as it grows",

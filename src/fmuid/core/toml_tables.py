@@ -16,6 +16,7 @@ from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError
 
 MAX_BYTES = 10_000_000
+SCHEMAS = "https://raw.githubusercontent.com/fmuid/fmuid/main/docs/schemas"  # of campaign.toml and effects.toml
 
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

@@ -21,7 +21,7 @@ from fmuid.core.experiments import Experiment
 from fmuid.core.files import path_from, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
-from fmuid.core.toml_tables import read_toml, toml_document
+from fmuid.core.toml_tables import SCHEMAS, read_toml, toml_document
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.cross_validation import closure_interval, losses, share_closed
 from fmuid.diagnosis.extended_model import CampaignModel, Prediction
@@ -40,6 +40,7 @@ from fmuid.simulation.signal_effects import signal_and_property
 
 FOLDER, EFFECTS = "corrected", "effects.toml"
 _HEAD = """\
+#:schema {schemas}/campaign.schema.json
 # The model with {effects}, and the values found by fmuid diagnose.
 # Continue from here with identify, validate and diagnose; a second diagnosis looks for what is still missing.
 
@@ -184,7 +185,7 @@ class _Document:
             except ModelicaError as error:
                 self.notes.append(f"no Modelica source is written: {error}")
         names = " and ".join(e.id for e in self.effects)
-        text = _HEAD.format(effects=names) + toml_document(self._tables(specs, written.fmus))
+        text = _HEAD.format(schemas=SCHEMAS, effects=names) + toml_document(self._tables(specs, written.fmus))
         write_atomically(self.folder / "campaign.toml", text)
         return Corrected(self.folder, tuple(files), tuple(self.notes))
 

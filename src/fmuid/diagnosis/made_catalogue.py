@@ -19,7 +19,7 @@ from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
 from fmuid.core.files import remove_unused, user_cache, write_atomically
 from fmuid.core.immutable import FloatArray
-from fmuid.core.toml_tables import read_toml, toml_document, toml_text
+from fmuid.core.toml_tables import SCHEMAS, read_toml, toml_document, toml_text
 from fmuid.diagnosis.candidates import refit_only
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.subject import Subject, subject_of
@@ -48,7 +48,8 @@ _MAGNITUDE = 0.01  # disturbance at which a port's response is taken, as a share
 _OFF = (1.05, 1.2)  # trial factors on a held value
 _TOGETHER = 0.9999  # squared correlation of angles from which two shafts count as geared to each other
 _TOLERATED = 10.0  # standard deviations by which a held value may be wrong
-_HEAD = """\
+_HEAD = f"""\
+#:schema {SCHEMAS}/effects.schema.json
 # What the model may lack, for `fmuid diagnose`: laws at the ports of its source, its signals and held parameters.
 # `expression` is Modelica and is added to the model at the port; it may use every variable of the model.
 # To add a law of your own, add an entry. Sizes are shares of the flows and motions of the refitted model.

@@ -19,7 +19,7 @@ from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, Unit
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.files import check_folder, path_from, write_atomically
 from fmuid.core.formatting import once_each
-from fmuid.core.toml_tables import toml_text
+from fmuid.core.toml_tables import SCHEMAS, toml_text
 from fmuid.core.units import conversion
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.measurements import check_measurements, write_measurements
@@ -343,6 +343,7 @@ def _toml(
         named += [f"libraries = {{ {', '.join(versions)} }} # their versions"] if versions else []
     renamed = ", ".join(f"{toml_text(k)} = {toml_text(v)}" for k, v in mapping.items())
     lines = [
+        f"#:schema {SCHEMAS}/campaign.schema.json",
         "# A campaign: which model, which parameters, which runs. See docs/formats.md.",
         "[campaign]",
         f"name = {toml_text(folder.resolve().name)}",
