@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+NAMED = "button|combobox|option|textbox|slider|switch|tab|tabpanel|table|columnheader|rowheader|img|region|heading|link"
 MODEL = """\
 model Tank "A tank with a heater, losing heat to the room"
   parameter Real C(unit = "J/K") = 4000 "heat capacity";
@@ -120,3 +122,23 @@ def browser() -> Iterator[Any]:
         yield context
         program.close()
     assert elsewhere == []
+
+
+@pytest.fixture
+def spoken() -> Callable[[Any], str]:
+    """Return what a screen reader gets of a page, after checks that apply everywhere."""
+
+    def tree(page: Any) -> str:
+        text = str(page.locator("body").aria_snapshot())
+        lines, inside_picture = [], 1000
+        for line in text.splitlines():
+            indent = len(line) - len(line.lstrip())
+            if indent > inside_picture:
+                continue  # a picture is read as its name
+            inside_picture = indent if re.match(r"\s*- '?img \"", line) else 1000
+            lines.append(line)
+        assert [line.strip() for line in lines if re.match(rf"\s*- '?({NAMED})(?=$|:| \[)", line)] == []
+        assert sum(line.strip() == "- main:" for line in lines) == 1
+        return "\n".join(lines)
+
+    return tree

@@ -17,6 +17,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="needs the package pl
 pytestmark = pytest.mark.browser
 
 Opened = Callable[..., str]
+Spoken = Callable[[Any], str]
 
 
 def status_of(address: str, **headers: str) -> int:
@@ -31,7 +32,9 @@ def table(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "campaign" / "campaign.toml").read_text())
 
 
-def test_a_campaign_is_made_corrected_and_undone_in_the_page(tank: Path, opened: Opened, browser: Any) -> None:
+def test_a_campaign_is_made_corrected_and_undone_in_the_page(
+    tank: Path, opened: Opened, browser: Any, spoken: Spoken
+) -> None:
     address = opened(*sorted(tank.glob("*.csv")), "--model", "Tank.mo", cwd=tank)
     assert status_of(address) == 200
     assert status_of(re.sub(r"/[^/]+/$", "/wrong/", address)) == 403
@@ -42,6 +45,13 @@ def test_a_campaign_is_made_corrected_and_undone_in_the_page(tank: Path, opened:
     page.goto(address)
     page.get_by_role("status").get_by_text("Ready to run").wait_for()
     before = (tank / "campaign" / "campaign.toml").read_text()
+
+    # A screen reader gets the table, its rows with what they show, and the state of every choice.
+    tree = spoken(page)
+    assert 'tab "Prepare" [selected]' in tree
+    assert 'row "probe [degC] probe over time, measured and simulated' in tree
+    assert 'option "T [K], output" [selected]' in tree
+    assert 'textbox "Lower of C": "400"' in tree
 
     # A column is connected with nothing, and the message about it is in its row.
     variable = page.get_by_label("Variable for probe")
@@ -98,7 +108,9 @@ def test_a_campaign_is_made_corrected_and_undone_in_the_page(tank: Path, opened:
     assert (tank / "campaign" / "campaign.toml").read_text() == before
 
 
-def test_the_text_can_be_edited_and_another_program_too(tank: Path, opened: Opened, browser: Any) -> None:
+def test_the_text_can_be_edited_and_another_program_too(
+    tank: Path, opened: Opened, browser: Any, spoken: Spoken
+) -> None:
     address = opened(*sorted(tank.glob("*.csv")), "--model", "Tank.mo", cwd=tank)
     page = browser.new_page()
     page.set_viewport_size({"width": 400, "height": 800})
@@ -110,6 +122,7 @@ def test_the_text_can_be_edited_and_another_program_too(tank: Path, opened: Open
         ".map((e) => parseFloat(getComputedStyle(e).fontSize))"
     )
     assert min(sizes) >= 12
+    assert 'rowheader "probe [degC]"' in spoken(page)
 
     file = tank / "campaign" / "campaign.toml"
     file.write_text(file.read_text().replace("start = 4000.0", "start = 4321.0"))

@@ -18,6 +18,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="needs the package pl
 pytestmark = pytest.mark.browser
 
 Opened = Callable[..., str]
+Spoken = Callable[[Any], str]
 _LONG = 'solver = "esch"\nbudget = { evaluations = 100000 }'
 
 
@@ -25,7 +26,9 @@ def campaign_of(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "campaign" / "campaign.toml").read_text())
 
 
-def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, browser: Any) -> None:
+def test_a_search_is_steered_and_its_result_moved(
+    tank: Path, opened: Opened, browser: Any, spoken: Spoken
+) -> None:
     address = opened(*sorted(tank.glob("*.csv")), "--model", "Tank.mo", cwd=tank)
     page = browser.new_page()
     page.goto(address)
@@ -36,6 +39,8 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
     status.get_by_text(re.compile("Done: stage all")).wait_for()
     page.get_by_role("img", name="Cost over evaluations").wait_for()
     page.get_by_role("img", name=re.compile("probe")).first.wait_for()
+
+    assert 'img "Cost over evaluations"' in spoken(page)
 
     # Steering: a bound that excludes the best point; the search continues there, within the bound.
     best = json.loads((tank / "runs" / "campaign" / "result.json").read_text())["parameters"]
@@ -59,6 +64,7 @@ def test_a_search_is_steered_and_its_result_moved(tank: Path, opened: Opened, br
     look.get_by_text(re.compile("G = ")).wait_for()
     said = look.get_by_text(re.compile("RMS of the residual"))
     expect(said).to_have_text(re.compile("probe: [0-9.]+ degC"))
+    assert 'slider "C"' in spoken(page)
     before = said.inner_text()
     slider = look.get_by_role("slider", name="C", exact=True)
     slider.focus()

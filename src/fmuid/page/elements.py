@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 from nicegui.element import Element
+from nicegui.elements.mixins.text_element import TextElement
 
 from fmuid.core.errors import FmuidError
 from fmuid.core.immutable import FloatArray
@@ -23,31 +24,31 @@ from fmuid.report.thinning import kept_samples
 _SIZE = (180, 44)  # of a small curve, px
 
 
-def text(tag: str, content: str, classes: str = "", **attributes: str) -> Element:
+def text(tag: str, content: str, classes: str = "", **attributes: str) -> TextElement:
     """Return an element with text."""
-    made = element(tag, classes, **attributes)
-    made.default_slot.children.clear()
-    with made:
-        ui.html(html.escape(content), sanitize=False, tag="span")
+    made = TextElement(tag=tag, text=content)
+    _set(made, classes, attributes)
     return made
 
 
-def set_text(made: Element, content: str) -> None:
+def set_text(made: TextElement, content: str) -> None:
     """Replace the text of an element that `text` returned."""
-    inner = made.default_slot.children[0]
-    assert isinstance(inner, ui.html)
-    if inner.content != html.escape(content):
-        inner.set_content(html.escape(content))
+    if made.text != content:
+        made.set_text(content)
 
 
 def element(tag: str, classes: str = "", **attributes: str | bool) -> Element:
     """Return an element; an underscore in the name of an attribute stands for a dash."""
     made = ui.element(tag)
+    _set(made, classes, attributes)
+    return made
+
+
+def _set(made: Element, classes: str, attributes: Mapping[str, str | bool]) -> None:
     if classes:
         made.classes(classes)
     for name, value in attributes.items():
         made.props[name.rstrip("_").replace("_", "-")] = value
-    return made
 
 
 class Input:
@@ -242,7 +243,7 @@ def drawn(figure: Figure) -> dict[str, Any]:
         if isinstance(trace.get("x"), int):
             trace["x"] = spec["shared"][trace["x"]]
     layout = spec["layout"] | {"uirevision": "kept"}  # keeps the zoom when values change
-    return {"data": spec["data"], "layout": layout, "config": {"responsive": True, "displaylogo": False}}
+    return {"data": spec["data"], "layout": layout, "config": {"responsive": True, "displayModeBar": False}}
 
 
 class Plot:

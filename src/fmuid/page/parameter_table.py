@@ -43,7 +43,7 @@ class ParameterTable:
             Callable[[Mapping[tuple[Kind, str], list[Message]], Mapping[str, ParameterRow]], None]
         ] = []
         with element("table", "rows", aria_label=label):
-            header("Parameter", "", "Start", "Lower", "Upper", "Unit", "Reason")
+            header("Parameter", "State", "Start", "Lower", "Upper", "Unit", "Reason")
             with element("tbody"):
                 for row in rows:
                     self._row(row)

@@ -53,7 +53,7 @@ class Shell:
         self._tabs: dict[str, Element] = {}
         self._panels: dict[str, Element] = {}
         self._made: dict[str, Any] = {}
-        with element("main", "page"):
+        with element("div", "page"):  # NiceGUI puts it into the landmark `main`
             with element("header", "top"):
                 text("h1", self._title())
                 text("span", str(workspace.folder), "soft name")
