@@ -22,7 +22,7 @@ from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
-from fmuid.diagnosis.candidates import refit_only
+from fmuid.diagnosis.candidates import estimates, refit_only
 from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
 from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, tolerances
@@ -385,6 +385,7 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     if outcome.rehearsal:
         answer["rehearsal"] = [trial.to_dict() for trial in outcome.rehearsal]
     answer["experiments"] = [{"id": name, "sha256": digest} for name, digest in recordings.items()]
+    answer["model"]["standard_errors"] = _errors(outcome)
     answer["nominal"] = {"parameters": outcome.subject.model.expanded(outcome.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
     at_bounds = _at_bounds(outcome)
@@ -397,6 +398,14 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     if outcome.subject.observed.bounded:
         answer["notes"].append(_BOUNDED)
     return answer
+
+
+def _errors(outcome: Found) -> dict[str, float | None]:
+    """Return standard errors of the corrected model; `best` has those of a law found or a table."""
+    if outcome.diagnosis.model != outcome.subject.model.expanded(outcome.corrected.fit.values):
+        return {}
+    known = estimates(outcome.corrected, outcome.subject)
+    return {name: e.standard_error for name, e in known.items()}
 
 
 def _courses(outcome: Found) -> dict[str, str]:

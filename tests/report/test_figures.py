@@ -15,7 +15,17 @@ from fmuid.report.figures import StageHistory, milestones, parallel_criteria_fig
 from fmuid.report.interactive import packed, specification
 from fmuid.report.plots import render, save_data, save_figure, save_figures
 from fmuid.report.plots.draw import canvas_of
-from fmuid.report.plots.figure_data import Axis, LineFigure, Panel, Series, Table, pretty_unit, tables
+from fmuid.report.plots.figure_data import (
+    Axis,
+    Bar,
+    BarFigure,
+    LineFigure,
+    Panel,
+    Series,
+    Table,
+    pretty_unit,
+    tables,
+)
 from fmuid.report.thinning import kept_samples
 
 figures = pytest.mark.parametrize("make", samples.ALL, ids=lambda make: make.__name__)
@@ -284,3 +294,13 @@ def test_text_that_a_spreadsheet_would_run_is_escaped_in_csv(text):
     table = Table((text, "value"), ((text, 1.0), ("plain", None)))
     rows = list(csv.reader(io.StringIO(table.csv())))
     assert rows == [["'" + text, "value"], ["'" + text, "1"], ["plain", ""]]
+
+
+def test_notes_of_bars_have_room_beside_them_and_are_below_them_on_a_phone():
+    long, short = "probability below 0.001", "57.2"
+    figure = BarFigure("b", "Bars", (Bar("a", 1.0, note=long), Bar("b", 0.1, note=short)), Axis("share"))
+    spec = specification(figure)
+    assert spec["layout"]["margin"]["r"] >= 8 + 6 * len(long)
+    notes = [a for a in spec["narrow"]["annotations"] if a["text"] in (long, short)]
+    assert [(note["xref"], note["x"], note["xanchor"]) for note in notes] == [("paper", 1, "right")] * 2
+    assert "annotations" not in specification(replace(figure, bars=(Bar("a", 1.0, note=short),)))["narrow"]

@@ -2,9 +2,8 @@
 
 Arrays are stored as base64 of their bytes, so a report with many runs stays small.
 
-What a figure shows is decided once, in `plots.figure_data`. This module (about 450 lines) draws it for the screen,
-`plots.draw` (about 380 lines) for print. One renderer would not serve both: plotly exports static pictures through
-a browser (Kaleido needs Chrome), and Matplotlib draws them without one, but not for zooming.
+What a figure shows is decided once, in `plots.figure_data`. This module draws it for the screen, `plots.draw` for
+print; `docs/architecture.md` says why one renderer does not serve both.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.report.plots import style
 from fmuid.report.plots.figure_data import (
     Axis,
+    Bar,
     BarFigure,
     Figure,
     LineFigure,
@@ -292,7 +292,7 @@ def _map_places(figure: MapFigure, columns: int, across: int, label: int) -> Spe
     rows = [_folded(row, label) for row in figure.rows]
     cells = 40 if not figure.groups else 24 if len(rows) < 20 else 16
     cells = max(cells, _LINE * max(map(len, rows)) + 4)
-    labels = 16 + round(4.8 * max(len(c) for c in figure.columns))
+    labels = 16 + round(6.2 * max(len(c) for c in figure.columns))
     left = 20 + _LETTER * max(len(line) for row in rows for line in row)
     gap = 0.03
     width = (1 - gap * (columns - 1)) / columns
@@ -361,7 +361,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
             "margin": {"l": 10, "r": 70, "t": 36, "b": 44},
         },
         "height": 100 + 28 * max(1, len(bars)),
-        "margin": {"l": 10, "r": 90, "t": 48, "b": 44},
+        "margin": {"l": 10, "r": max(90, _beyond(figure, 450)), "t": 48, "b": 44},
         "showlegend": False,
         "xaxis": _axis(figure.quantity)
         | {"tickangle": 0}
@@ -382,7 +382,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         layout["xaxis"]["range"] = [math.log10(low), math.log10(high)] if figure.quantity.log else [low, high]
     for k, bar in enumerate(bars):
         if bar.note:
-            end = max(bar.value, bar.interval[1] if bar.interval else bar.value, 0.0)
+            end = _end(bar)
             at = math.log10(end) if figure.quantity.log and end > 0 else end
             layout["annotations"].append(
                 {
@@ -420,7 +420,31 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
                 "font": {"size": 12},
             }
         )
+    if _beyond(figure, 200) > 70:  # on a phone, notes are below their bars
+        under = {"x": 1, "xref": "paper", "xanchor": "right", "xshift": 0, "yshift": -22}
+        notes = layout["annotations"]
+        layout["narrow"] |= {
+            "annotations": [note | under if "xshift" in note else note for note in notes],
+            "height": 100 + (_LINE + 28) * len(bars),
+            "margin": {"l": 10, "r": 20, "t": 36, "b": 44},
+        }
     return [trace], layout
+
+
+def _beyond(figure: BarFigure, width: int) -> int:
+    """Return the pixels that notes need beyond the end of an axis of a width in pixels."""
+    low, high = figure.limits or (0.0, max(map(_end, figure.bars), default=0.0))
+
+    def place(bar: Bar) -> float:
+        known = high > low and not figure.quantity.log
+        return (min(_end(bar), high) - low) / (high - low) if known else 1.0
+
+    needs = (8 + _LETTER * len(bar.note) - (1.0 - place(bar)) * width for bar in figure.bars if bar.note)
+    return round(max(needs, default=0.0))
+
+
+def _end(bar: Bar) -> float:
+    return max(bar.value, bar.interval[1] if bar.interval else bar.value, 0.0)
 
 
 def _parallel(figure: ParallelFigure) -> tuple[list[Spec], Spec]:
