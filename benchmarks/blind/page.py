@@ -102,6 +102,7 @@ def page(folder: Path) -> str:
                 parts.append(_section(f"Seed {seed.seed}: {title}", seed, cases))
     if len(parts) == 1:
         parts.append("No seed has been published yet.\n")
+    parts.append("Next: [how good it is](quality.md).\n")
     return "\n".join(parts)
 
 
