@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.blind.score import Scored, in_words, share
 from benchmarks.study_command import run_module
 
@@ -34,7 +36,7 @@ def scored(labels: Mapping[str, Mapping[str, Any]], answers: Path) -> list[Score
         label = {
             "case": name, "seed": 0, "rig": number, "stratum": stratum, "effects": effects,
             "same": given.get("same", {}), "places": given.get("places", [e.partition("@")[2] for e in effects]),
-            "background_effects": given.get("background", []), "background_same": [], "as_well": {},
+            "background_effects": given.get("background", []), "background_same": [], "as_well": {}, "gap": np.inf,
         }  # fmt: skip
         file = answers / f"{name}.json"
         cases.append(Scored(label, {"answer": json.loads(file.read_text())} if file.is_file() else {}))

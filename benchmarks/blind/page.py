@@ -40,7 +40,8 @@ Before any diagnosis, 50 random rigs were compared with their models: `make blin
 0.001 standard deviations of the noise).
 
 A gap is in noise floors of a sample after a refit of all parameters. Effects that a case's runs cannot tell
-apart (less than 3 standard deviations over all runs, by the plant) count as one. The background's effects may be
+apart (less than 3 standard deviations over all runs, by the plant) count as one. A model whose gap is below its
+tolerance, one floor, is complete. The background's effects may be
 named, and what the runs cannot tell from one of them that is visible itself. Intervals hold 90 %; cases
 cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a rig that is
 not among these lies. [Earlier checks](history.md) were on rigs that did not stay unseen.

@@ -101,8 +101,10 @@ class Scored:
     def right(self) -> bool:
         """Whether the verdict is exactly right."""
         truths, stratum = self.label["effects"], self.label["stratum"]
+        if self.kind == "complete":  # so is a model to its tolerance, a noise floor
+            return stratum == "none" or float(self.label["gap"]) < 1.0
         if stratum == "none":
-            return self.kind == "complete"
+            return False
         if stratum == "unknown" and self.kind == "unknown":
             return True
         return self.kind in _NAMING and all(
@@ -343,18 +345,15 @@ def _size_covered(case: Scored) -> bool | None:
     if not case.answer or not case.right:
         return None
     for truth, size in case.label["sizes"].items():
+        law = truth.partition("@")[0]
+        if case.label["units"] and law in ("offset", "drift", "dead_zone"):
+            continue  # in the unit of the log
         for effect in case.answer["effects"]:
-            if canonical(effect["id"]) != canonical(truth) or not effect.get("parameters"):
-                continue
-            name = next(
-                (n for n in effect["parameters"] if n.rpartition(".")[2] in ("size", "lag", "delay", "width")),
-                None,
-            )
-            found = effect["parameters"].get(name) if name else None
-            if not found or not found.get("standard_error"):
-                return None
-            error = abs(found["value"] - size) / found["standard_error"]
-            return bool(error < norm.ppf(0.95))
+            if canonical(effect["id"]) == canonical(truth):
+                found = effect.get("parameters") or {}
+                one = next((v for n, v in found.items() if n.rpartition(".")[2] == law), None)
+                if one and one.get("standard_error"):
+                    return bool(abs(one["value"] - size) < norm.ppf(0.95) * one["standard_error"])
     return None
 
 

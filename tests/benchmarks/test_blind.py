@@ -23,7 +23,7 @@ from benchmarks.blind.score import Scored, bias, figures, localisation, share
 
 LABEL = {
     "seed": 1, "rig": 0, "case": "c0000", "number": 0, "stratum": "one", "effects": ["lag@y"], "same": {"lag@y": ["delay@y"]},
-    "background_effects": ["offset@u"], "background_same": ["gain@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": [], "as_well": {"lag@y": ["drift@y"]},
+    "background_effects": ["offset@u"], "background_same": ["gain@u"], "repeats": 1, "loud": False, "own_shape": False, "twin_of": None, "damaged": [], "units": False, "as_well": {"lag@y": ["drift@y"]},
     "places": ["y"], "sizes": {}, "gap": 2.0, "background": 0.2, "noise": "white", "timing": "held", "moving": False,
     "closed": 0, "style": "components", "kind": "thermal", "determined": ["a"], "values": {"a": 2.0},
 }  # fmt: skip
@@ -153,6 +153,32 @@ def test_a_twin_has_the_same_noise_in_other_units(tmp_path):
 def test_what_is_right_and_what_is_a_wrong_name(verdict, right, wrong):
     case = scored(**verdict)
     assert (case.right, case.wrong) == (right, wrong)
+
+
+def test_a_model_is_complete_to_its_tolerance():
+    assert scored(kind="complete", gap=0.97).right
+    assert not scored(kind="complete", gap=1.1).right
+
+
+@pytest.mark.parametrize(
+    ("truth", "parameter", "units", "value"),
+    [
+        ("quadratic@cart", "cart.quadratic", False, 1.0),
+        ("capacity@core", "core.capacity", True, 1.0),
+        ("lag@y", "y.lag", True, 1.0),
+        ("dead_zone@u", "u.dead_zone", True, None),  # in the unit of the log
+        ("quadratic@cart", "cart.quadratic_width", False, None),
+    ],
+)
+def test_a_size_is_that_of_the_law(truth, parameter, units, value):
+    label = LABEL | {"effects": [truth], "sizes": {truth: 2.0}, "units": units, "same": {}}
+    found = []
+    for size in (2.1, 2.4):
+        case = Scored(label, scored(effects=[truth]).record)
+        parameters = {parameter: {"value": size, "standard_error": 0.1}}
+        case.answer["effects"].append({"id": truth, "parameters": parameters})
+        found.append(next(f for f in figures([case]) if f.name.startswith("size inside")).value)
+    assert found == ([value, 0.0] if value else [None, None])
 
 
 def test_a_coefficient_has_to_be_named_with_what_it_varies_with():

@@ -10,9 +10,10 @@ def test_answers_are_compared_with_published_labels(tmp_path, capsys):
         "a": {"effects": ["lag@y"], "same": {"lag@y": ["delay@y"]}},
         "b": {"effects": []},
         "c": {"effects": []},
+        "d": {"effects": ["lag@y"]},
     }
     (tmp_path / "labels.json").write_text(json.dumps(labels))
-    for name, kind, effects in (("a", "effect", ["delay@y"]), ("b", "effect", ["gain@y"])):
+    for name, kind, effects in (("a", "effect", ["delay@y"]), ("b", "effect", ["gain@y"]), ("d", "complete", [])):
         verdict = {"kind": kind, "effects": effects, "one_of": [], "ports": ["y"]}
         (tmp_path / f"{name}.json").write_text(json.dumps({"verdict": verdict, "answers": []}))
     main([str(tmp_path / "labels.json"), str(tmp_path)])
@@ -20,4 +21,5 @@ def test_answers_are_compared_with_published_labels(tmp_path, capsys):
     assert said[0].startswith("a: right")
     assert said[1].startswith("b: names gain@y")
     assert said[2].startswith("c: no answer;")
-    assert said[3].startswith("right: 0.33")
+    assert said[3].startswith("d: the gap is not seen")
+    assert said[4].startswith("right: 0.25")

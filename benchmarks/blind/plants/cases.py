@@ -287,7 +287,8 @@ def _sizes(gaps: Gaps, chosen: Sequence[Candidate], known: Sequence[Candidate]) 
         value = effect.size
         if isinstance(effect, SignalEffect):
             scale = (gaps.typical.inputs if effect.is_input else gaps.typical.outputs)[effect.index]
-            value *= {"gain": 1.0, "lag": gaps.rig.dt, "delay": gaps.rig.dt}.get(effect.law, scale)
+            dt, duration = gaps.rig.dt, gaps.rig.dt * (gaps.rig.samples - 1)
+            value *= {"gain": 1.0, "lag": dt, "delay": dt, "drift": scale / duration}.get(effect.law, scale)
             value += 1.0 if effect.law == "gain" else 0.0
         found[candidate.id] = float(value)
     return found

@@ -49,9 +49,9 @@ class SignalEffect:
             case "gain", 0:
                 return y * (1.0 + self.size)
             case "gain", 1:
-                return y + self.size * x * (1.0 + 0.1 * x / scale)
+                return y * (1.0 + self.size * (1.0 + 0.1 * x / scale))
             case "gain", _:
-                return y + self.size * x * (1.0 + 0.1 * np.tanh(3.0 * x / scale))
+                return y * (1.0 + self.size * (1.0 + 0.1 * np.tanh(3.0 * x / scale)))
             case "offset", 0:
                 return y + s
             case "offset", 1:
@@ -81,10 +81,10 @@ class SignalEffect:
             case "dead_zone", _:
                 return y - 0.95 * np.clip(y, -s, s)
             case "crosstalk", _:
-                far = all_[self.other] - all_[self.other][0]
-                late = _late(far, 0.5, 0) if self.shape == 1 else far
-                bent = 1.0 + 0.1 * np.tanh(far / max(np.ptp(far), 1e-300)) if self.shape == 2 else 1.0
-                return y + self.size * late * bent
+                one = all_[self.other]
+                late = _late(one, 0.5, 0) if self.shape == 1 else one
+                far = (one - one[0]) / max(np.ptp(one), 1e-300)
+                return y + self.size * late * (1.0 + 0.1 * np.tanh(far) if self.shape == 2 else 1.0)
             case "lag", _:
                 return _late(y, self.size * _PARTS, self.shape)
             case "delay", _:
