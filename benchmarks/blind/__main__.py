@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -39,22 +41,15 @@ def answered(seed: int, number: int, work: Path, labels: Path, limit: float) -> 
         _write(label, {**case.label, "sha256": hashes})
     record = out / "record.json"
     if not record.is_file():
-        out.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-m", "benchmarks.blind.diagnose", str(folder), str(out)]
+        shutil.rmtree(out, ignore_errors=True)  # of a diagnosis that was interrupted
+        out.mkdir(parents=True)
+        command = [sys.executable, "-m", "benchmarks.blind.diagnose", str(folder), str(out), f"{limit:.0f}"]
         begun = time.monotonic()
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
-            if not record.is_file():
-                _write(
-                    record,
-                    {
-                        "diagnose": done.returncode,
-                        "said": done.stderr.strip()[-600:],
-                        "elapsed": time.monotonic() - begun,
-                    },
-                )
-        except subprocess.TimeoutExpired:
-            _write(record, {"diagnose": -1, "said": f"no answer in {limit:g} s", "elapsed": limit})
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if not record.is_file():
+            late = done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
+            said = f"no answer in {limit:g} s of processor time" if late else done.stderr.strip()[-600:]
+            _write(record, {"diagnose": done.returncode, "said": said, "elapsed": time.monotonic() - begun})
     found = json.loads(record.read_text())
     return f"{name}: {_words(found)}  ({found.get('seconds', found['elapsed']):.0f} s)"
 
@@ -179,7 +174,7 @@ def main() -> int:
             one.add_argument("--first", type=int, default=0)
             one.add_argument("--count", type=int, default=REHEARSAL + CHECK)
             one.add_argument("--workers", type=int, default=1)
-            one.add_argument("--time-limit", type=float, default=300.0)
+            one.add_argument("--time-limit", type=float, default=300.0, help="processor time of a case, s")
     commands.add_parser("page")
     commands.add_parser("calibrate").add_argument("seed", type=int)
     commands.add_parser("verify").add_argument("--regenerate", type=int, default=5, help="cases of each seed")

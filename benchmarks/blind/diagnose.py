@@ -1,4 +1,4 @@
-"""`python -m benchmarks.blind.diagnose CASE OUT`: the diagnosing process of the blind check.
+"""`python -m benchmarks.blind.diagnose CASE OUT [SECONDS]`: the diagnosing process of the blind check.
 
 It knows a folder with logs and a model, calls ``fmuid init``, ``fmuid diagnose`` and ``fmuid validate`` as a user
 does, and writes what they answered. A log that ``init`` refuses by name is left out, as a user would.
@@ -11,6 +11,7 @@ import io
 import json
 import os
 import re
+import resource
 import sys
 import time
 from pathlib import Path
@@ -20,6 +21,8 @@ from typing import Any
 def main() -> int:
     """Diagnose one case; return 0, or 3 where there is no answer."""
     case, out = Path(sys.argv[1]), Path(sys.argv[2])
+    if len(sys.argv) > 3:
+        resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[3]), int(sys.argv[3])))
     order = json.loads((case / "order.json").read_text())
     begun, spent, record = time.monotonic(), _seconds(), {"refused": []}
     campaign, folder = out / "campaign", out / "diagnosis"

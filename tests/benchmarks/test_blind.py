@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import subprocess
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from benchmarks.blind import plants
-from benchmarks.blind.__main__ import PAGE, PUBLISHED, publish, verify
+from benchmarks.blind.__main__ import PAGE, PUBLISHED, answered, publish, verify
 from benchmarks.blind.agreement import TOLERANCE, disagreement
 from benchmarks.blind.page import page
 from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
@@ -277,6 +278,15 @@ def test_the_page_is_what_is_published_and_a_changed_answer_is_noticed(tmp_path,
     labels = folder / "labels.jsonl"
     labels.write_text(labels.read_text().replace('"stratum":"', '"stratum":"x'))
     assert any("the label of c0016" in line for line in verify(1))
+
+
+def test_a_diagnosis_may_take_so_much_processor_time(tmp_path, monkeypatch):
+    spinning = "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, 1))\nwhile True: pass"
+    real = subprocess.run
+    monkeypatch.setattr(subprocess, "run", lambda command, **how: real([command[0], "-c", spinning], **how))
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "labels" / "c0000.json").write_text("{}")
+    assert "no answer in 1 s of processor time" in answered(1, 0, tmp_path, tmp_path / "labels", 1.0)
 
 
 def test_the_committed_page_is_what_the_published_seeds_give():
