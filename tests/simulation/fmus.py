@@ -125,7 +125,7 @@ def make_oscillator(
     subprocess.run(command, check=True, capture_output=True, text=True)
     place = fmpy.platform if fmi == 2 else fmpy.platform_tuple
     description = _description(fmi, interfaces, "ONCE" in defines, even_steps, interpolates, clock)
-    if any(d.startswith("NOISE") for d in defines):
+    if any(d.startswith(("NOISE", "DECLARES")) for d in defines):
         offer = f'<ModelExchange providesDirectionalDerivative{"s" if fmi == 3 else ""}="true" '
         description = description.replace("<ModelExchange ", offer)
     with zipfile.ZipFile(path, "w") as archive:

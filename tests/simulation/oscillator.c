@@ -5,7 +5,7 @@
  *
  * Co-simulation integrates with the explicit midpoint rule, 1 ms at most. `fault` makes it misbehave at t >= 0.1.
  * Compile with -DFMI=2 or 3 and perhaps -DRESET_FAILS, -DRESET_CRASHES, -DRESET_FORGETS_STATE, -DRESET_FORGETS_PARAMETERS, -DONCE,
- * -DBAD=fault (where c > 140), -DNOISE=x (of derivatives, as an inner solver leaves it; `count` is of their evaluations) with directional derivatives, -DCALLS (`count` is of the calls that set, step and get reals in co-simulation), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
+ * -DBAD=fault (where c > 140), -DNOISE=x (of derivatives, as an inner solver leaves it; `count` is of their evaluations) with directional derivatives, -DDECLARES (them, but they fail), -DCALLS (`count` is of the calls that set, step and get reals in co-simulation), -DTIRES=n (dies at the n-th instantiation), -DLIMIT=x, -DSTUCK, -DRESTLESS (events without end).
  */
 #include <math.h>
 #include <signal.h>

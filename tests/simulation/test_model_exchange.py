@@ -65,6 +65,15 @@ def test_directional_derivatives_spare_differences_of_noisy_derivatives(build, f
 
 
 @BOTH
+def test_directional_derivatives_that_fail_leave_differences(build, fmi):
+    task = Task(np.linspace(0, 1, 101), {}, ("x", "v"), tolerance=1e-6)
+    declared = Fmu(build(fmi, ("ModelExchange",), ("DECLARES",)))
+    assert declared.directional_references is not None
+    plain = Fmu(build(fmi, ("ModelExchange",))).simulate(task, {"c": 80.0})
+    np.testing.assert_array_equal(declared.simulate(task, {"c": 80.0}), plain)
+
+
+@BOTH
 def test_state_and_time_events(build, fmi):
     time = np.linspace(0, 2, 21)
     y = Fmu(build(fmi, ("ModelExchange",))).simulate(
