@@ -44,6 +44,14 @@ def element(tag: str, classes: str = "", **attributes: str | bool) -> Element:
     return made
 
 
+def captioned(caption: str) -> Element:
+    """Return an element for a list to choose from, with a caption that stays next to it."""
+    made = element("span", "captioned")
+    with made:
+        text("span", caption)
+    return made
+
+
 def _set(made: Element, classes: str, attributes: Mapping[str, str | bool]) -> None:
     if classes:
         made.classes(classes)

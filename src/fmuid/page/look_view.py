@@ -17,7 +17,7 @@ from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import FILE as RESULT
 from fmuid.identification.validate import predicted
-from fmuid.page.elements import Charts, Choice, Slider, button, element, set_text, text, told
+from fmuid.page.elements import Charts, Choice, Slider, button, captioned, element, set_text, text, told
 from fmuid.page.outcome import Outcome, in_log_units, of_corrected, outcome_at
 from fmuid.page.proposed_run import NextExperiment
 from fmuid.page.workspace import Workspace
@@ -90,11 +90,12 @@ class LookView:
         self._cases: tuple[Case, ...] = ()
         text("p", self._outcome.headline, "headline", role="status")
         with element("div", "buttons"):
-            text("span", "Show run")
-            Choice("Run to look at", {r: r for r in runs}, self._run, self._choose)
+            with captioned("Show run"):
+                Choice("Run to look at", {r: r for r in runs}, self._run, self._choose)
             if len(self._names) > 1:
-                text("span", "Values")
-                self._set = Choice("Set of values", {n: n for n in self._names}, self._names[0], self._take)
+                names = {name: name for name in self._names}
+                with captioned("Values"):
+                    self._set = Choice("Set of values", names, self._names[0], self._take)
             if self._outcome.effects:
                 self._switch = button("Correction", self._toggle, role="switch", aria_checked="true")
             button("Use as start values", self._keep)

@@ -15,6 +15,7 @@ from fmuid.page.elements import (
     Input,
     Notes,
     button,
+    captioned,
     curve,
     element,
     enable,
@@ -188,10 +189,10 @@ class PrepareView:
         setup = self._setup
         self._notes("model", setup)
         with element("div", "buttons"):
-            text("span", "Show run")
-            Choice("Run to show", {r.id: r.id for r in self._work.runs}, self._run, self._choose_run)
-            text("span", "Timing")
-            self._timing(setup)
+            with captioned("Show run"):
+                Choice("Run to show", {r.id: r.id for r in self._work.runs}, self._run, self._choose_run)
+            with captioned("Timing"):
+                self._timing(setup)
         with element("table", "rows", aria_label="Columns of the log and variables of the model"):
             header("Column of the log", "Measured, simulated", "Variable of the model", "Timing")
             with element("tbody"):

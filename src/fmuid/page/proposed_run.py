@@ -15,7 +15,7 @@ from fmuid.core.errors import FmuidError, UnitError
 from fmuid.core.units import conversion
 from fmuid.design_pipeline import FILE_NAME, INPUT
 from fmuid.page.command_control import Command, CommandControl
-from fmuid.page.elements import Charts, Choice, Field, element, header, text, told
+from fmuid.page.elements import Charts, Choice, Field, captioned, element, header, text, told
 from fmuid.page.workspace import Workspace
 from fmuid.report.figures import TIME
 from fmuid.report.plots.figure_data import Axis, Figure, LineFigure, Panel, Role, Series, pretty_unit
@@ -59,8 +59,7 @@ class NextExperiment:
         self._charts = Charts()
 
     def _options(self) -> None:
-        with element("div", "buttons"):
-            text("span", "It should")
+        with element("div", "buttons"), captioned("It should"):
             Choice("Purpose of the next experiment", self._purposes, self._purpose, self._choose)
         with element("details"):
             text("summary", "Limits of the rig")

@@ -21,7 +21,19 @@ from fmuid.identification.result import Result, StageResult
 from fmuid.identification.validate import predicted
 from fmuid.page.command_control import Command, CommandControl
 from fmuid.page.command_process import CommandProcess
-from fmuid.page.elements import Charts, Choice, Field, button, element, enable, header, set_text, text, told
+from fmuid.page.elements import (
+    Charts,
+    Choice,
+    Field,
+    button,
+    captioned,
+    element,
+    enable,
+    header,
+    set_text,
+    text,
+    told,
+)
 from fmuid.page.outcome import in_log_units
 from fmuid.page.parameter_table import ParameterTable
 from fmuid.page.placed_messages import by_place
@@ -64,8 +76,8 @@ class RunView:
             self._resume = button("Resume", self._resumed)
             self._stop = button("Stop and look", self._stopped)
             self._best = button("Continue from the best point", self._steered)
-            text("span", "Show run")
-            Choice("Run to follow", {r.id: r.id for r in workspace.runs}, self._run, self._choose)
+            with captioned("Show run"):
+                Choice("Run to follow", {r.id: r.id for r in workspace.runs}, self._run, self._choose)
         self._where = text("p", "", "soft name")
         self._complaint = text("p", "", "note error", role="alert")
         self._diagnosis = CommandControl(

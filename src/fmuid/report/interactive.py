@@ -426,6 +426,7 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         layout["narrow"] |= {
             "annotations": [note | under if "xshift" in note else note for note in notes],
             "height": 100 + (_LINE + 28) * len(bars),
+            "yaxis": {"range": [len(bars) - 0.2, -0.5]},
             "margin": {"l": 10, "r": 20, "t": 36, "b": 44},
         }
     return [trace], layout
