@@ -156,7 +156,7 @@ def _none(reason: str) -> Discovery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    found: Found
+    outcome: Found
     base: Fitted
     models: Mapping[str, ModelSpec]
     load: Callable[[ModelSpec], Simulator]
@@ -200,9 +200,9 @@ class _Search:
 
     def spots(self) -> list[Spot]:
         """Return the candidate places that can carry a law, the likeliest first."""
-        places, subject = self.found, self.found.subject
+        outcome, subject = self.outcome, self.outcome.subject
         ports = subject.catalogue.ports
-        asked = sorted(places.entered, key=lambda port: -places.entered[port].evidence)
+        asked = sorted(outcome.entered, key=lambda port: -outcome.entered[port].evidence)
         here = set.intersection(*map(names_of_places, self.insides.values()))
         names = [n for n in asked if n in here and n in ports and ports[n].added and ports[n].input is not None]
         inside = next(iter(self.insides.values()))
@@ -211,7 +211,7 @@ class _Search:
 
     def extended(self, law: Candidate | None, spots: Sequence[Spot]) -> Candidate | None:
         """Return the best law with a further term (one or two, if there is no law yet), if it is worth it."""
-        subject = self.found.subject if law is None else law.subject
+        subject = self.outcome.subject if law is None else law.subject
         before = self.base if law is None else law.fitted
         chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
         candidates = self._refitted(law, _likeliest(chosen))
@@ -225,7 +225,7 @@ class _Search:
 
     def _from_beginnings(self, spots: Sequence[Spot]) -> list[Candidate]:
         """Return laws that explain early parts of the runs, where the model has not drifted away yet."""
-        part, again = refitted_early(self.found.subject, self.base)
+        part, again = refitted_early(self.outcome.subject, self.base)
         if again is None:
             return []
         noise, inside = noise_draws(part, again, self.seed), next(iter(self.insides.values()))
@@ -235,7 +235,7 @@ class _Search:
 
     def _led_out(self, law: Candidate) -> Candidate:
         """Return a law with a better fit, approached over growing horizons, if its fit is in a local minimum."""
-        subject, fitted, starts = law.subject, law.fitted, self.found.subject.starts
+        subject, fitted, starts = law.subject, law.fitted, self.outcome.subject.starts
         sizes = {name: fitted.fit.values[name] for name in law.law.sizes}
         shapes = {u.name: u.start for u in law.effect.unknowns if u.name in law.effect.shapes}
         near = approached(subject, fitted.fit.unknowns, {**fitted.fit.values, **starts, **shapes}, [sizes])
@@ -266,7 +266,7 @@ class _Search:
             laws.append(new)
             starts.append(values | dict(zip(new.sizes, sizes, strict=True)))
         effects = [law.effect(f"tried{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
-        subject = with_laws(self.found.subject, self.models, self.load, effects, self.base.effects)
+        subject = with_laws(self.outcome.subject, self.models, self.load, effects, self.base.effects)
         subject = tightened(subject, starts)
         beside = [e for e in subject.effects if e.id in self.base.effects]
         candidates = []
@@ -284,7 +284,7 @@ class _Search:
         A law that another one, no less simple, beats clearly on the experiments fitted is none of them. The others
         predict held-out experiments about as well as the best one, or fit all of them better.
         """
-        observed = self.found.subject.observed
+        observed = self.outcome.subject.observed
 
         def beyond(better: Candidate, worse: Candidate) -> bool:
             return decide.separation(better.fitted, worse.fitted, observed) >= decide.SAME
@@ -301,7 +301,7 @@ class _Search:
 
     def p_value(self, law: Candidate) -> float:
         """Return how likely noise alone leaves as much as a law does."""
-        observed = self.found.subject.observed
+        observed = self.outcome.subject.observed
         null = self.noise.null(nominal_basis(law.fitted.fit, observed), ())
         return null.p_value(excess(law.fitted.fit.residuals, observed))
 
@@ -322,7 +322,7 @@ class _Search:
         left = f"{text}, but leaves {law.fitted.gap:.2g} times the noise"
         if law.fitted.gap > _LEFT:
             return left
-        if not self.finished(law) and likelier(self.found.entered, self.found.nominal, law.fitted):
+        if not self.finished(law) and likelier(self.outcome.entered, self.outcome.nominal, law.fitted):
             return f"{left}, and something else is far likelier"
         if not self.memory_known(law):
             return f"{text}, but the data do not tell its first-order memory from one of second order"
@@ -336,7 +336,7 @@ class _Search:
         slower = of_second_order(law.effect)
         if slower is None:
             return True
-        subject = with_laws(self.found.subject, self.models, self.load, [slower], self.base.effects)
+        subject = with_laws(self.outcome.subject, self.models, self.load, [slower], self.base.effects)
         fitted = fit_effects(subject, subject.effects, [law.fitted.fit.values])
         return fitted is None or decide.log_odds(law.fitted, fitted, subject.observed) >= np.log(decide.OPEN)
 
@@ -354,13 +354,13 @@ class _Search:
         unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
         fit = replace(law.fitted.fit, unknowns=unknowns, values=renamed)
         fitted = replace(law.fitted, effects=(*law.fitted.effects[:-1], effect.id), fit=fit)
-        subject = with_laws(self.found.subject, self.models, self.load, [effect], law.fitted.effects[:-1])
+        subject = with_laws(self.outcome.subject, self.models, self.load, [effect], law.fitted.effects[:-1])
         return Candidate(final, effect, subject, fitted)
 
     def described(self, law: Candidate, seed: int) -> LawFound:
         """Return a law in words and numbers."""
-        nominal, fitted, law_ = self.found.nominal, law.fitted, law.law
-        null = self.noise.null(nominal_basis(nominal.fit, self.found.subject.observed), ())
+        nominal, fitted, law_ = self.outcome.nominal, law.fitted, law.law
+        null = self.noise.null(nominal_basis(nominal.fit, self.outcome.subject.observed), ())
         interval = closure_interval(nominal.held_out, fitted.held_out, null=null, seed=seed)
         parameters = {}
         for name, estimate in estimates(fitted, law.subject).items():

@@ -161,7 +161,7 @@ _Table = TypeVar("_Table", _Built, _Proposed)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    found: Found
+    outcome: Found
     base: Fitted
     models: Mapping[str, ModelSpec]
     load: Callable[[ModelSpec], Simulator]
@@ -170,7 +170,7 @@ class _Search:
 
     def refined(self) -> Tabulated | None:
         """Return the model with a table over the own variable of one of its laws, if that law's shape is wrong."""
-        by_id = self.found.subject.by_id
+        by_id = self.outcome.subject.by_id
         tried = []
         for effect in (by_id[id] for id in self.base.effects):
             place = self._spot(effect.port) if effect.acts == "flow" and effect.expression else None
@@ -183,8 +183,8 @@ class _Search:
 
     def learned(self) -> Tabulated | None:
         """Return the model with a table where the rest enters."""
-        entered = self.found.entered if not self.base.effects else {}
-        entered = entered or where_it_enters(self.found.subject, self.base)
+        entered = self.outcome.entered if not self.base.effects else {}
+        entered = entered or where_it_enters(self.outcome.subject, self.base)
         proposed: list[_Proposed] = []
         likely = (self._spot(name) for name in sorted(entered, key=lambda name: -entered[name].evidence))
         for place in islice((one for one in likely if one is not None), _PLACES):
@@ -196,10 +196,10 @@ class _Search:
 
     def _spot(self, name: str) -> Spot | None:
         """Return a place with all that a table there may be over; None if it has no input."""
-        port = self.found.subject.catalogue.ports.get(name)
+        port = self.outcome.subject.catalogue.ports.get(name)
         if port is None or not port.added or port.input is None:
             return None
-        return self._along(name, self.found.subject, self.base.fit.values)
+        return self._along(name, self.outcome.subject, self.base.fit.values)
 
     def _along(self, name: str, subject: Subject, values: Mapping[str, float]) -> Spot | None:
         """Return a place with all quantities along the trajectories of a model."""
@@ -229,7 +229,7 @@ class _Search:
 
     def _moved(self, place: Spot, basis: Sequence[tuple[FloatArray, ...]]) -> tuple[FloatArray, ...] | None:
         """Return by how much functions at a place move the residuals, (M_e, B) per experiment."""
-        subject = self.found.subject
+        subject = self.outcome.subject
         port = replace(subject.catalogue.ports[place.port.name], magnitude=DRIVEN * place.flow)
         moved = [m for m in moved_by(subject.model, subject.observed, self.base.fit, port, tuple(basis)) if m]
         if len(moved) < len(basis):
@@ -248,7 +248,7 @@ class _Search:
         if columns is None:
             return
         response = Response("", tuple(c @ weights for c in columns))
-        (decoy,) = fit_decoys([response], self.base.fit, self.found.subject.observed)
+        (decoy,) = fit_decoys([response], self.base.fit, self.outcome.subject.observed)
         sizes = tuple(DRIVEN * place.flow * a for a in decoy.amounts)
         yield _Proposed(place, _terms(over, knots), sizes, decoy.held_out, 0.0, over, knots)
 
@@ -287,7 +287,7 @@ class _Search:
         """Put tables into the model, each while the others are off, and refit each with all parameters."""
         if not proposed:
             return []
-        subject = self.found.subject
+        subject = self.outcome.subject
         beside = [subject.by_id[id] for id in self.base.effects]
         laws = [Law(p.spot, p.terms, f"{p.spot.port.name}.tried{k}") for k, p in enumerate(proposed)]
         effects = [_effect(law, f"tried{k}@{law.spot.port.name}", "a table") for k, law in enumerate(laws)]
@@ -308,7 +308,7 @@ class _Search:
 
     def _told(self, built: _Built, of: str = "") -> Tabulated | None:
         """Return a table with its final names, if it closes enough of the gap, and beyond chance."""
-        nominal, fitted = self.found.nominal, pruned(built.subject, built.fitted, of)
+        nominal, fitted = self.outcome.nominal, pruned(built.subject, built.fitted, of)
         lows = [
             closure_interval(nominal.held_out, fitted.held_out, null=self.null)[0],
             closure_interval(self.base.held_out, fitted.held_out)[0],
@@ -328,8 +328,8 @@ class _Search:
         fit = replace(fitted.fit, unknowns=unknowns, values=values)
         left_out = tuple({renamed.get(n, n): v for n, v in at_fold.items()} for at_fold in fitted.left_out)
         fitted = replace(fitted, effects=(*fitted.effects[:-1], effect.id), fit=fit, left_out=left_out)
-        subject = with_laws(self.found.subject, self.models, self.load, [effect], fitted.effects[:-1])
-        best = Closing(subject, self.found.nominal, self.null).best(fitted)
+        subject = with_laws(self.outcome.subject, self.models, self.load, [effect], fitted.effects[:-1])
+        best = Closing(subject, self.outcome.nominal, self.null).best(fitted)
         if of:
             best = replace(best, effects=best.effects[:-1], parameters=self._covering(best.parameters))
         sizes = np.array([values[n] for n in law.sizes]).reshape([len(k) for k in built.knots])
@@ -348,7 +348,7 @@ class _Search:
 
     def _covering(self, refined: Mapping[str, Estimate]) -> dict[str, Estimate]:
         """Return parameters of a refined law with errors whose 90 % intervals cover those of the plain law."""
-        plain = estimates(self.base, self.found.subject)
+        plain = estimates(self.base, self.outcome.subject)
 
         def both(one: Estimate, other: Estimate) -> Estimate:
             moved = abs(one.value - other.value) / _INTERVAL
@@ -361,7 +361,7 @@ class _Search:
     def _in_words(self, x: Quantity, place: Spot) -> str:
         """Return a variable in words: a quantity of the place in its domain, or a signal or variable by name."""
         words = quantity_words(place.port.domain, place.port.units[0])
-        signals = {c.variable: c.signal for case in self.found.subject.model.cases for c in case.channels}
+        signals = {c.variable: c.signal for case in self.outcome.subject.model.cases for c in case.channels}
         return words.get(x.name) or signals.get(x.name, x.name)
 
 

@@ -184,19 +184,19 @@ def _at_state(name: str, fmu: Fmu, model: CampaignModel, values: Mapping[str, fl
         {TIME: t}
         | {n: one[n] for n in fmu.states if _is_name(n)}
         | {n: u for n, u in row.items() if _is_name(n)}
-        | own
-        for t, one, row, own in zip(times, courses, driven, columns, strict=True)
+        | logged
+        for t, one, row, logged in zip(times, courses, driven, columns, strict=True)
     )
     units = {n: v.unit or "1" for n, v in model.cases[0].simulator.variables.items()}
     port, flow = place.port, place.sizes["P" if place.port.kind == "loop" else "F"]
     kinds: dict[str, Kind] = {"rate": "speed", "p": _POSITION.get(port.domain, "value")}
-    own = [
+    of_place = [
         _above_start(q, around) if port.domain == "thermal" else q
         for what, n in place.names.items()
         if (q := _quantity(n, n, units.get(n, "1"), around, kinds.get(what, "value"))) is not None
     ]
     inputs = [q for n in driven[0] if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
-    return _with_terms(Spot(port, flow, around, (), ()), model, (own, inputs), {*fmu.states}, units)
+    return _with_terms(Spot(port, flow, around, (), ()), model, (of_place, inputs), {*fmu.states}, units)
 
 
 def _is_name(variable: str) -> bool:
