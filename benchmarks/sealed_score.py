@@ -24,15 +24,7 @@ def scored(labels: Mapping[str, Mapping[str, Any]], answers: Path) -> list[Score
     cases = []
     for number, (name, given) in enumerate(sorted(labels.items())):
         effects = list(given["effects"])
-        stratum = (
-            "none"
-            if not effects
-            else "unknown"
-            if effects == ["unknown"]
-            else "one"
-            if len(effects) == 1
-            else "two"
-        )
+        stratum = "unknown" if effects == ["unknown"] else {0: "none", 1: "one"}.get(len(effects), "two")
         label = {
             "case": name, "seed": 0, "rig": number, "stratum": stratum, "effects": effects,
             "same": given.get("same", {}), "places": given.get("places", [e.partition("@")[2] for e in effects]),

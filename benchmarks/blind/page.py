@@ -40,11 +40,11 @@ Before any diagnosis, 50 random rigs were compared with their models: `make blin
 0.001 standard deviations of the noise).
 
 A gap is in noise floors of a sample after a refit of all parameters. Effects that a case's runs cannot tell
-apart (less than 3 standard deviations over all runs, by the plant) count as one. A model whose gap is below its
-tolerance, one floor, is complete. The background's effects may be
-named, and what the runs cannot tell from one of them that is visible itself. Intervals hold 90 %; cases
-cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a rig that is
-not among these lies. [Earlier checks](history.md) were on rigs that did not stay unseen.
+apart (less than 3 standard deviations over all runs, by the plant) count as one, coefficients that vary included;
+a drag is a damper that grows with speed. A model whose gap is below its tolerance, one floor, is complete. The
+background's effects may be named, and what the runs cannot tell from one of them that is visible itself. Intervals
+hold 90 %; cases cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a
+rig that is not among these lies. [Earlier checks](history.md) were on rigs that did not stay unseen.
 """
 _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems:
@@ -136,15 +136,9 @@ def _section(title: str, seed: Seed, cases: Sequence[Scored]) -> str:
 
 def number(value: float | None) -> str:
     """Return a figure as text."""
-    return (
-        ""
-        if value is None
-        else f"{value:.3f}"
-        if abs(value) < 0.01 and value
-        else f"{value:.2f}"
-        if abs(value) < 10
-        else f"{value:.0f}"
-    )
+    if value is None:
+        return ""
+    return f"{value:.{3 if 0 < abs(value) < 0.01 else 2 if abs(value) < 10 else 0}f}"
 
 
 def _aims(found: Sequence[Figure]) -> str:

@@ -33,6 +33,14 @@ def canonical(name: str) -> str:
     return f"{law}{at}{place}{bracket}{rest}"
 
 
+def means(name: str, other: str) -> bool:
+    """Return whether an id is the other one, which names what a coefficient varies with in a part of a word."""
+    if not other.startswith("varies@"):
+        return canonical(name) == canonical(other)
+    (place, _, variable), (wanted, _, part) = (x.rstrip(")").partition("(") for x in (name, other))
+    return place == wanted and part.lower() in variable.lower()
+
+
 def in_words(answer: Mapping[str, Any]) -> str:
     """Return the verdict of a diagnosis in a few words."""
     verdict = answer["verdict"]
@@ -83,19 +91,12 @@ class Scored:
 
     def is_a(self, name: str, truth: str) -> bool:
         """Return whether a name is the truth, or one that the runs cannot tell from it."""
-        if truth.startswith("varies@"):
-            parameter = truth.partition("@")[2]
-            variables = [v.lower() for v in self.label["variable"]]
-            law, _, rest = name.partition("@")
-            place, _, variable = rest.rstrip(")").partition("(")
-            return law == "varies" and place == parameter and any(v in variable.lower() for v in variables)
-        same = [truth, *self.label["same"].get(truth, ())]
-        return canonical(name) in {canonical(n) for n in same}
+        itself = [f"{truth}({v})" for v in self.label["variable"]] if truth.startswith("varies@") else [truth]
+        return any(means(name, one) for one in (*itself, *self.label["same"].get(truth, ())))
 
-    @property
-    def behind(self) -> set[str]:
-        """Effects of the background, and those that the runs cannot tell from one of them."""
-        return {canonical(n) for n in (*self.label["background_effects"], *self.label["background_same"])}
+    def behind(self, name: str) -> bool:
+        """Return whether a name is one of the background, or one that the runs cannot tell from it."""
+        return any(means(name, n) for n in (*self.label["background_effects"], *self.label["background_same"]))
 
     @property
     def right(self) -> bool:
@@ -114,7 +115,7 @@ class Scored:
 
     def _foreign(self, names: set[str]) -> set[str]:
         truths = self.label["effects"]
-        return {n for n in names if n not in self.behind and not any(self.is_a(n, truth) for truth in truths)}
+        return {n for n in names if not self.behind(n) and not any(self.is_a(n, truth) for truth in truths)}
 
     @property
     def wrong(self) -> bool:

@@ -17,7 +17,7 @@ from benchmarks.blind.__main__ import PAGE, PUBLISHED, answered, publish, verify
 from benchmarks.blind.agreement import TOLERANCE, disagreement
 from benchmarks.blind.page import page
 from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
-from benchmarks.blind.plants.effects import SHAPES, Effect, candidates, usual, varying
+from benchmarks.blind.plants.effects import SHAPES, Effect, candidates, other_names, usual, varying
 from benchmarks.blind.plants.grammar import draw_rig, wave
 from benchmarks.blind.plants.readings import Gaps, Run, Way, simulate
 from benchmarks.blind.score import Scored, bias, figures, localisation, share
@@ -223,6 +223,25 @@ def test_what_corrects_an_unknown_effect_counts_also_where_nothing_does():
     assert found["unknown: corrected/ closes on left-out runs"] == 0.0
     assert found["unknown: an equation is found"] == pytest.approx(1 / 3)
     assert found["corrected/ is the fitted model"] == 0.0
+
+
+def test_a_law_may_be_named_as_a_coefficient_that_varies_where_that_is_the_same():
+    rig, run, typical = driven(0)
+    damper = next(e for e in rig.network.elements if e.kind == "cond")
+    assert rig.network.nodes[damper.a].mechanical
+    node = rig.network.nodes[damper.a]
+    known = candidates(rig, typical, np.random.default_rng(1))
+    one = next(c for c in known if c.law == "quadratic" and c.effect.where == damper.a)
+    gaps = Gaps(rig, rig.nominal, [run], Way(), typical, "white")
+    effect, _ = gaps.sized(one, 1.0)
+    same = gaps.twins_of(effect, other_names(rig, typical), 1, one.id)[0]
+    parameter = next(
+        p.name for p in rig.parameters if p.slot == ("element", rig.network.elements.index(damper), 0)
+    )
+    assert f"varies@{parameter}({node.name})" in same
+    case = scored(effects=[f"varies@{parameter}({node.name}.w)"])
+    assert Scored(LABEL | {"effects": [one.id], "same": {one.id: same}}, case.record).right
+    assert not Scored(LABEL | {"effects": [one.id], "same": {}}, case.record).right
 
 
 def test_the_ends_of_a_branch_may_come_in_either_order():

@@ -23,6 +23,7 @@ from benchmarks.blind.plants.effects import (
     Usual,
     candidates,
     gated,
+    other_names,
     shaped,
     unknowns,
     usual,
@@ -151,12 +152,12 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         total = gaps.gap([replace(b, size=b.size * factor) for b in background])
     background = [replace(b, size=b.size * factor) for b in background]
     effects = [c.effect for c in chosen]
-    same, as_well = {}, {}
-    for one in chosen if stratum != "varies" else ():
-        same[one.id], as_well[one.id] = telling.twins_of(one.effect, known, repeats, one.id)
+    same, as_well, names = {}, {}, [*known, *other_names(rig, typical)]
+    for one, name in zip(chosen, label["effects"], strict=True):
+        same[name], as_well[name] = telling.twins_of(one.effect, names, repeats, one.id)
         if one.law in _CONTAINED and rig.network.nodes[one.effect.where].domain == "rotational":
-            same[one.id].append(f"{_CONTAINED[one.law]}@{one.place}")
-    twins = {n for b in background for n in telling.twins_of(b, known, repeats)[0]}
+            same[name].append(f"{_CONTAINED[one.law]}@{one.place}")
+    twins = {n for b in background for n in telling.twins_of(b, names, repeats)[0]}
     background_same = sorted(twins - set(behind))
     together = gaps.gap(effects, background) if effects else 0.0
     if not np.isfinite(together) or abs(total / wanted - 1.0) > 0.3 or (effects and together < 0.95):
@@ -278,12 +279,7 @@ def _sizes(gaps: Gaps, chosen: Sequence[Candidate], known: Sequence[Candidate]) 
         own = next((c for c in known if c.id == candidate.id), None)
         if own is None:
             continue
-        target, size = gaps.left([candidate.effect]), candidate.effect.size / own.effect.size
-        for _ in range(4):
-            direction = gaps.left([own.sized(size)])
-            along = float(direction @ target) / max(float(direction @ direction), 1e-300)
-            size *= float(np.clip(along, 0.3, 3.0))
-        effect = own.sized(size)
+        effect = own.sized(gaps.fitted(gaps.readings({}, [candidate.effect]), own)[1])
         value = effect.size
         if isinstance(effect, SignalEffect):
             scale = (gaps.typical.inputs if effect.is_input else gaps.typical.outputs)[effect.index]

@@ -22,12 +22,19 @@ SHAPES = {
     "delay": 2, "saturation": 3, "dead_zone": 3, "crosstalk": 2, "coefficient": 4,
 }  # fmt: skip
 UNKNOWN = ("resonator", "wear", "pulsation", "relay", "chaos", "slip")
-_TWO_SIDED = ("gain", "offset", "drift", "crosstalk", "asymmetry", "cogging", "weight", "coefficient")
+_TWO_SIDED = ("gain", "offset", "drift", "crosstalk", "asymmetry", "cogging", "weight", "coefficient", "varies")
 _MECHANICAL = ("stribeck", "coulomb", "asymmetry", "quadratic", "presliding", "weight", "viscous", "cogging")
 AT_INPUTS = ("gain", "offset", "delay", "lag", "saturation", "dead_zone")
 AT_OUTPUTS = ("gain", "offset", "drift", "lag", "delay", "crosstalk")
 _PARTS = 8  # of a sample, in which late signals are followed
-_MOST = {"gain": 4.0, "saturation": 8.0, "dead_zone": 6.0, "coefficient": 8.0}  # largest plausible sizes, in units
+# Largest plausible sizes, in units:
+_MOST = {
+    "gain": 4.0,
+    "saturation": 8.0,
+    "dead_zone": 6.0,
+    "coefficient": 8.0,
+    "varies": 100.0,
+}  # largest plausible sizes, in units
 
 
 @dataclass(frozen=True)
@@ -289,8 +296,19 @@ class Varying:
     variable: tuple[str, ...]
 
 
-def varying(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Varying]:
-    """Return coefficients of branches, each with what it may vary with."""
+def other_names(rig: Rig, typical: Usual) -> list[Candidate]:
+    """Return coefficients that vary as other names of laws; with a speed, as itself and as its magnitude."""
+    found = []
+    for one in varying(rig, typical, np.random.default_rng(0), friction=True):
+        effect, name = one.candidate.effect, f"{one.parameter}({one.variable[-1]})"
+        assert isinstance(effect, Effect)
+        turning = effect.source == 0 and rig.network.nodes[effect.index].mechanical
+        found += [Candidate("varies", name, replace(effect, shape=k)) for k in ((0, 5) if turning else (0,))]
+    return found
+
+
+def varying(rig: Rig, typical: Usual, rng: np.random.Generator, *, friction: bool = False) -> list[Varying]:
+    """Return coefficients of branches, each with what it may vary with; of `friction`, also with its speed."""
     found = []
     for parameter in rig.parameters:
         what, k, j = parameter.slot
@@ -304,7 +322,7 @@ def varying(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Varying]
         ]
         for n in near:
             node = rig.network.nodes[n]
-            if not (node.mechanical and element.kind in ("cond", "dry", "drag")):
+            if friction or not (node.mechanical and element.kind in ("cond", "dry", "drag")):
                 names = (place_of(rig, "node", n).removesuffix(".balance"), node.name)
                 sources.append((0, n, node.start, float(typical.potential[n]), names))
         if element.kind in ("coil", "motor"):

@@ -192,7 +192,8 @@ static double shaped(const Effect *e, double x) { /* how a coefficient varies, 0
     case 1: return e->size * x / (1.0 + 0.5 * fabs(x));
     case 2: return e->size * x * (1.0 + 0.25 * fabs(x));
     case 3: return e->size * sinh(x) / 1.1752;
-    default: return e->size * 0.5 * (1.0 + soft(x - 0.5, 0.15));
+    case 4: return e->size * 0.5 * (1.0 + soft(x - 0.5, 0.15));
+    default: return e->size * fabs(x); /* of a speed, as another name for a law */
     }
 }
 

@@ -14,6 +14,7 @@ from benchmarks.blind.plants.network import Controller, DivergedError, Floats, N
 
 MEMORY = 20.0  # samples, of coloured noise
 _STEP = 1e-3  # of a parameter's logarithm, for derivatives
+_REFITS = 12  # steps to the best size of a candidate
 _APART = 3.0  # standard deviations, below which two effects are the same to the sensors
 Any_ = Effect | SignalEffect
 _SHARP = {"stribeck", "coulomb", "presliding", "hysteresis", "backlash", "asymmetry", "voltage_drop", "relay"}
@@ -101,16 +102,10 @@ class Gaps:
     def __init__(
         self, rig: Rig, values: Mapping[str, float], runs: Sequence[Run], way: Way, typical: Usual, noise: str
     ) -> None:
-        self.rig, self.values, self.runs, self.way, self.typical, self.noise = (
-            rig,
-            values,
-            runs,
-            way,
-            typical,
-            noise,
-        )
+        self.rig, self.values, self.runs, self.way = rig, values, runs, way
+        self.typical, self.noise = typical, noise
+        self._directions: dict[Candidate, Floats] = {}
         self._sigma = np.array(rig.noise)[:, None]
-        self._directions: dict[Candidate, Floats | None] = {}
         self.plain = self.readings({})
         columns = [(self.readings({p.name: _STEP}) - self.plain) / _STEP for p in rig.parameters]
         self._jacobian = np.column_stack(columns)
@@ -189,53 +184,81 @@ class Gaps:
         if it differs by no more than the catalogue's own law, `own`, whose shape the effect does not have.
         """
         try:
-            target = self.left([effect])
+            target, left = self.readings({}, [effect]), self.left([effect])
         except DivergedError:
             return [], []
-        half = 0.5 * float(np.linalg.norm(target)) * np.sqrt(repeats)
+        half = 0.5 * float(np.linalg.norm(left)) * np.sqrt(repeats)
         limit, mine = min(_APART, half), 0.0
         for one in (c for c in others if c.id == own):
-            mine = min(self._apart(target, c, np.inf) for c in _of_other_widths(one)) * np.sqrt(repeats)
+            mine = min(self.fitted(target, c, np.inf)[0] for c in _of_other_widths(one)) * np.sqrt(repeats)
             mine = mine if mine < half else 0.0
+        near = max(mine, 4.0 * limit) / np.sqrt(repeats)
         same, as_well = [], []
         for other in others:
             if other.id == own:
                 continue
-            apart = self._apart(target, other, 2.0 * max(mine, 5.0 * limit)) * np.sqrt(repeats)
+            apart = self.fitted(target, other, near)[0] if own else self._linear(left, other)
+            apart *= np.sqrt(repeats)
             if apart < limit:
                 same.append(other.id)
             elif apart <= mine:
                 as_well.append(other.id)
-        return same, as_well
+        return sorted(set(same)), sorted(set(as_well) - set(same))
 
-    def _apart(self, target: Floats, other: Candidate, hopeless: float) -> float:
-        """Return by how much a candidate at its best size differs from residuals; infinite with an absurd size."""
-        size, apart, direction = 0.05, np.inf, self._direction(other)
-        for _ in range(4):
-            if direction is None or not np.any(direction):
-                return apart
-            along = float(direction @ target) / float(direction @ direction)
-            if size * along < 0 and not other.two_sided:
-                return np.inf
-            apart = min(apart, float(np.linalg.norm(target - along * direction)))
-            if apart > hopeless or 0.97 < along < 1.03:
-                break
-            size = float(np.clip(size * along, -other.most, other.most))
+    def fitted(self, target: Floats, other: Candidate, near: float = np.inf) -> tuple[float, float]:
+        """Return by how much a candidate, with the parameters refitted, differs from readings, and its size.
+
+        The search is one of Gauss and Newton with shortened steps: of the size alone, then with the parameters and
+        the derivatives of the plain plant, then, where that comes near, with those of the candidate's.
+        """
+        x, here = np.zeros(len(self.rig.parameters) + 1), self.plain
+        far, lower, upper = float(np.linalg.norm(target - here)), np.full(len(x), -1.0), np.full(len(x), 1.0)
+        lower[-1], upper[-1] = -other.most if other.two_sided else 0.0, other.most
+        jacobian, stage = np.zeros_like(self._jacobian), 0
+        for _ in range(_REFITS):
             try:
-                direction = self.left([other.sized(size)])
+                if stage == 2:
+                    jacobian = np.column_stack([self._slope(other, x, here, k) for k in range(len(x) - 1)])
+                column = self._slope(other, x, here, -1)
             except DivergedError:
                 break
-        return apart
+            step = np.linalg.lstsq(np.column_stack([jacobian, column]), target - here, rcond=1e-6)[0]
+            before = far
+            for share in (1.0, 0.3, 0.1):
+                trial = np.clip(x + share * step, lower, upper)
+                try:
+                    there = self._at(other, trial)
+                except DivergedError:
+                    continue
+                if np.linalg.norm(target - there) < far:
+                    x, here, far = trial, there, float(np.linalg.norm(target - there))
+                    break
+            if far > 0.9 * before:
+                if stage == 2 or (stage == 1 and far > near):
+                    break
+                stage, jacobian = stage + 1, self._jacobian
+        return far, float(x[-1])
 
-    def _direction(self, other: Candidate) -> Floats | None:
-        """Return the residuals of a candidate of a small size, to first order."""
+    def _linear(self, left: Floats, other: Candidate) -> float:
+        """Return the same for small effects: to first order, from residuals."""
         if other not in self._directions:
             try:
-                moved = self.readings({}, [other.sized(0.05)]) - self.plain
-                self._directions[other] = moved - self._basis @ (self._basis.T @ moved)
+                column = self._slope(other, np.zeros(len(self.rig.parameters) + 1), self.plain, -1)
             except DivergedError:
-                self._directions[other] = None
-        return self._directions[other]
+                return np.inf
+            self._directions[other] = column - self._basis @ (self._basis.T @ column)
+        column = self._directions[other]
+        along = float(column @ left) / max(float(column @ column), 1e-300)
+        return float(np.linalg.norm(left - (along if other.two_sided else max(along, 0.0)) * column))
+
+    def _at(self, other: Candidate, x: Floats) -> Floats:
+        names = (p.name for p in self.rig.parameters)
+        return self.readings(dict(zip(names, x[:-1].tolist(), strict=True)), [other.sized(float(x[-1]))])
+
+    def _slope(self, other: Candidate, x: Floats, here: Floats, k: int) -> Floats:
+        moved = x.copy()
+        moved[k] += 0.02 * max(abs(x[k]), 0.5) if k < 0 else _STEP
+        return (self._at(other, moved) - here) / (moved[k] - x[k])
 
 
 def _of_other_widths(candidate: Candidate) -> list[Candidate]:
