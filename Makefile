@@ -81,7 +81,6 @@ sealed-abroad: | $(READY)
 
 # Random rigs, drawn from SEED and diagnosed: 100 cases of a rehearsal, 400 of the check. Continues where it was interrupted.
 # FIRST=100 COUNT=400: the check alone; WORKERS=2: cases in parallel. LABELS: a folder outside this one.
-LABELS ?= ../fmuid-labels
 blind: | $(READY)
 	@test -n "$(SEED)" || { echo "SEED=...: an integer that was not used before"; exit 2; }
 	$(BIN)/python -m benchmarks.blind run $(SEED) --labels $(LABELS) $(FIRST:%=--first %) $(COUNT:%=--count %) \

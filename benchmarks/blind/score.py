@@ -178,8 +178,9 @@ class Scored:
             return f"no answer{': ' + said[-1] if said else ''}"[:160]
         if self.wrong:
             named = set().union(*map(self._foreign, self.sets))
-            as_well = {canonical(n) for names in self.label["as_well"].values() for n in names}
-            fits = ", which fits these runs no worse than the catalogue's own law" if named <= as_well else ""
+            as_well = [n for names in self.label["as_well"].values() for n in names]
+            fitting = all(any(means(n, o) for o in as_well) for n in named)
+            fits = ", which fits these runs no worse than the catalogue's own law" if fitting else ""
             return "names " + ", ".join(sorted(named)) + fits
         if self.kind == "insufficient":
             best = (self.answer.get("best") or {}).get("effects") or []

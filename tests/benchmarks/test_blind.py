@@ -202,6 +202,7 @@ def test_an_unknown_effect_may_be_named_as_a_law_that_the_runs_cannot_tell_from_
 
 def test_a_miss_that_fits_as_well_as_the_law_of_the_truth_is_told_so():
     assert "no worse" in scored(effects=["drift@y"]).reason
+    assert "no worse" in scored(effects=["varies@a.d(wheel.w)"], as_well={"lag@y": ["varies@a.d(wheel)"]}).reason
     assert "no worse" not in scored(effects=["gain@y"]).reason
 
 
