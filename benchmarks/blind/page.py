@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -164,9 +165,7 @@ def _shares(cases: Sequence[Scored]) -> str:
             groups.setdefault(str(bool(value) if title == "closed" else value), []).append(case)
         for name, own in sorted(groups.items()):
             found = share("", own, lambda c: c.right)
-            kinds: dict[str, int] = {}
-            for case in own:
-                kinds[case.kind] = kinds.get(case.kind, 0) + 1
+            kinds = Counter(case.kind for case in own)
             seconds = [c.record["seconds"] for c in own if "seconds" in c.record]
             rows.append(
                 [

@@ -259,12 +259,8 @@ def _truth(
             label.setdefault("places", []).append(place_of(rig, "element" if element else "node", effect.where))
             if stratum == "regime":
                 what = "rate" if abs(effect.gate) > 1.5 else "potential"
-                label["regime"] = {
-                    "node": effect.where,
-                    "place": candidate.place,
-                    "what": what,
-                    "over": effect.threshold,
-                }
+                regime = {"node": effect.where, "place": candidate.place, "what": what, "over": effect.threshold}
+                label["regime"] = regime
         else:
             label.setdefault("places", []).append(candidate.place)
     return chosen, label
