@@ -674,6 +674,29 @@ def test_a_second_signal_ends_at_once_in_one_line(folder: Path, name: str) -> No
         pass
 
 
+STUCK = """
+import ctypes
+from fmuid.cli.interruption import Interruption
+
+Interruption()
+ctypes.CDLL(None).system(b"echo begun; read line")  # compiled code that does not return, as in a simulation
+"""
+
+
+@pytest.mark.parametrize(("signals", "message"), [(1, "did not return within 5 s"), (2, "stopped at once")])
+def test_signals_end_a_simulation_that_does_not_return(signals: int, message: str) -> None:
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", STUCK], stdin=pipe, stdout=pipe, stderr=pipe, text=True) as run:
+        assert run.stdout is not None and run.stdin is not None and run.stderr is not None
+        assert run.stdout.readline() == "begun\n"
+        for _ in range(signals):
+            run.send_signal(signal.SIGTERM)
+            clock.sleep(0.2)
+        assert run.wait(600) == 130
+        run.stdin.close()  # ends the shell
+        assert message in run.stderr.read()
+
+
 def test_build_finds_the_packages_that_are_shipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:

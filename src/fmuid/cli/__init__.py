@@ -12,9 +12,9 @@ __all__ = ["main"]
 
 def main() -> None:
     """Entry point of the console script."""
+    _open_what_is_closed()
     interruption = Interruption()
     try:
-        _open_what_is_closed()
         from fmuid.cli.app import no_escapes_without_colour, run, warn_in_one_line
 
         warn_in_one_line()
