@@ -41,8 +41,16 @@ KINDS = {
     "friction": "white; the model lacks friction",
 }
 """How measurements differ from the model, in words."""
+WRONG = {
+    "friction": KINDS["friction"],
+    "lag": "white; the model lacks a second lag, of 10 samples",
+    "delay": "white; the model lacks a delay of 5 samples",
+    "saturation": "white; the model lacks a saturation at 1.5 standard deviations",
+}
+"""What a model of a wrong structure lacks, in words."""
 _COLOUR, _OUTLIERS, _FAR, _GAPS, _BLOCK, _JITTER, _STEP = 0.8, 0.01, 10.0, 0.2, 10, 0.3, 2.0
 _FRICTION, _GAIN, _INPUTS, _LEAST = 0.1, 0.03, 0.05, 0.1
+_LAG, _DELAY, _MOST = 10.0, 5, 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +111,7 @@ def interval_coverage(
     draws
         Number of noises.
     kind
-        One of `KINDS`.
+        One of `KINDS` or `WRONG`.
     seed
         Of the noise.
     simulators
@@ -124,10 +132,16 @@ def interval_coverage(
         pairs = [(result[n], (aim or truth)[n]) for n in names]
         inside.append([e.interval is not None and e.interval[0] < v < e.interval[1] for e, v in pairs])
         deviations.append([(e.value - v) / (e.standard_error or np.nan) for e, v in pairs])
-        warned.append(bool(result.warnings) or not result.sound or any(e.note for e in result.estimates))
+        warned.append(warns(result))
     return Coverage(
         names, np.array(inside, dtype=np.float64), np.array(deviations), np.array(warned, dtype=np.float64)
     )
+
+
+def warns(stage: StageResult) -> bool:
+    """Return whether a stage has a warning or an unexplained residual, marks an interval, or did not converge."""
+    marks = any(e.note for e in stage.estimates)
+    return bool(stage.warnings) or bool(stage.unexplained) or not stage.sound or marks
 
 
 def fitted_stages(
@@ -141,6 +155,22 @@ def fitted_stages(
     with_uncertainty: bool = True,
 ) -> tuple[Mapping[str, float], Iterator[StageResult]]:
     """Return the true values of the parameters, and the stage fitted to `draws` simulated measurements."""
+    truth, models, drawn = drawn_campaigns(
+        campaign, stage, draws=draws, kind=kind, seed=seed, simulators=simulators
+    )
+    return truth, (identify(one, simulators=models, with_uncertainty=with_uncertainty).stages[0] for one in drawn)
+
+
+def drawn_campaigns(
+    campaign: Campaign,
+    stage: str,
+    *,
+    draws: int,
+    kind: str,
+    seed: int,
+    simulators: Mapping[str, Simulator] | None = None,
+) -> tuple[Mapping[str, float], Mapping[str, Simulator], Iterator[Campaign]]:
+    """Return the true values of the parameters, the models, and campaigns with `draws` simulated measurements."""
     from fmuid.identification.check import load_models
 
     if stage not in campaign.stages:
@@ -156,10 +186,7 @@ def fitted_stages(
         raise ProblemError(f"the true values cannot be simulated ({exact.failure})", fix="check `truth`")
     sources = {e: pair for pair in zip(problem.cases, exact.predictions, strict=True) for e in pair[0].experiments}
     generator = np.random.default_rng(seed)
-    drawn = (_drawn(campaign, spec, sources, generator, kind) for _ in range(draws))
-    return exact.parameters, (
-        identify(one, simulators=models, with_uncertainty=with_uncertainty).stages[0] for one in drawn
-    )
+    return exact.parameters, models, (_drawn(campaign, spec, sources, generator, kind) for _ in range(draws))
 
 
 def _drawn(
@@ -211,6 +238,15 @@ def _reading(y: FloatArray, time: FloatArray, generator: np.random.Generator, ki
     if kind == "friction":
         speed = np.gradient(y)
         return y - _FRICTION * np.std(y) * np.tanh(speed / max(0.05 * float(np.max(np.abs(speed))), 1e-300))
+    if kind == "lag":
+        from scipy.signal import lfilter
+
+        decay = np.exp(-1.0 / _LAG)
+        return np.asarray(lfilter([1.0 - decay], [1.0, -decay], y))
+    if kind == "delay":
+        return np.concatenate([np.full(_DELAY, y[0]), y[:-_DELAY]])
+    if kind == "saturation":
+        return np.clip(y, -_MOST * np.std(y), _MOST * np.std(y))
     return y
 
 

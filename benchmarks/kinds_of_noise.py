@@ -2,28 +2,40 @@
 
 A campaign has six runs of a first-order lag, 300 samples each; inputs are steps and sines, other ones in every
 campaign. Where the model lacks friction, intervals should hold the values that predict other runs best, those that
-fit 200 runs without noise.
+fit 1000 runs without noise.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.interval_coverage import KINDS, Coverage, fitted_stages, interval_coverage
+from benchmarks.interval_coverage import (
+    KINDS,
+    WRONG,
+    Coverage,
+    drawn_campaigns,
+    fitted_stages,
+    interval_coverage,
+    warns,
+)
 from benchmarks.study_command import run_module
 from fmuid.core.campaign import Campaign, ModelSpec, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
+from fmuid.identification.validate import validate
 from fmuid.simulation.simulator import Simulator, Task, Variable
 
 TIME = 0.02 * np.arange(300)
-RUNS, SIGMA, MANY = 6, 0.05, 200
+RUNS, SIGMA, MANY = 6, 0.05, 1000
 _STAGE = "all"
+_NEW = 100_000  # seeds of new runs
 
 
 class Lag(Simulator):
@@ -97,8 +109,39 @@ def best_values(kind: str, simulators: Mapping[str, Simulator]) -> dict[str, flo
     return {e.name: e.value for e in next(stages).estimates}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """Of each campaign (n,): the share of the samples of new runs within their intervals, and whether it warns."""
+
+    inside: FloatArray
+    warned: FloatArray
+
+
+def new_run_coverage(kind: str, draws: int, *, runs: int = RUNS) -> Predicted:
+    """Return how often the 95 % intervals of predictions hold the samples of two new runs of the same kind."""
+    simulators, shares, warned = {"bench": Lag()}, [], []
+    for seed in range(draws):
+        options: Any = {"draws": 1, "kind": kind, "seed": seed, "simulators": simulators}
+        _, stages = fitted_stages(light_campaign(seed, runs), _STAGE, **options)
+        found = next(stages)
+        (expected,) = found.uncertainty.new_runs if found.uncertainty is not None else ()
+        _, _, campaigns = drawn_campaigns(
+            light_campaign(_NEW + seed, 2), _STAGE, **options | {"seed": _NEW + seed}
+        )
+        new = next(campaigns)
+        shown = validate(found.parameters, new, experiments=new.identification, simulators=simulators)
+        errors = [
+            np.abs(prediction - case.channels[0].repeats)
+            for case, prediction in zip(shown.cases, shown.predictions, strict=True)
+            if prediction is not None
+        ]
+        shares.append(float(np.mean(np.array(errors) < expected.half_width)))
+        warned.append(warns(found))
+    return Predicted(np.array(shares), np.array(warned, dtype=np.float64))
+
+
 def page(draws: int) -> str:
-    """Return a table in Markdown of every kind of noise, and of the gain that varies for fewer runs."""
+    """Return tables in Markdown: intervals by kind of noise and for few runs, and predictions of new runs."""
     rows = [(KINDS[kind], kind, RUNS) for kind in KINDS]
     rows += [(f"the same gain, {runs} run{'s' * (runs > 1)}", "gain", runs) for runs in (1, 2, 3)]
     lines = ["| measurements | k | T | b | mean | with a warning or mark |", "|---|---|---|---|---|---|"]
@@ -107,6 +150,16 @@ def page(draws: int) -> str:
         shares = [*coverage.shares, np.mean(coverage.shares)]
         cells = " | ".join(f"{100 * share:.0f}" for share in shares)
         lines.append(f"| {words} | {cells} | {100 * np.mean(coverage.warned):.0f} |")
+    lines += [
+        "",
+        "| new runs | after runs | samples in the interval | with a warning or mark |",
+        "|---|---|---|---|",
+    ]
+    for kind, words in ({"white": KINDS["white"], "gain": KINDS["gain"]} | WRONG).items():
+        for runs in (2, 3, RUNS):
+            new = new_run_coverage(kind, draws, runs=runs)
+            cells = f"{100 * np.mean(new.inside):.0f} | {100 * np.mean(new.warned):.0f}"
+            lines.append(f"| {words} | {runs} | {cells} |")
     return "\n".join(lines)
 
 

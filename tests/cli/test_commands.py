@@ -687,7 +687,9 @@ ctypes.CDLL(None).system(b"echo begun; read line")  # compiled code that does no
 def test_signals_end_a_simulation_that_does_not_return(signals: int, message: str) -> None:
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-c", STUCK], stdin=pipe, stdout=pipe, stderr=pipe, text=True) as run:
-        assert run.stdout is not None and run.stdin is not None and run.stderr is not None
+        assert run.stdout is not None
+        assert run.stdin is not None
+        assert run.stderr is not None
         assert run.stdout.readline() == "begun\n"
         for _ in range(signals):
             run.send_signal(signal.SIGTERM)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.interval_coverage import KINDS, interval_coverage, main
-from benchmarks.kinds_of_noise import light_coverage
+from benchmarks.interval_coverage import KINDS, WRONG, interval_coverage, main
+from benchmarks.kinds_of_noise import light_coverage, new_run_coverage
 from benchmarks.kinds_of_noise import main as kinds_of_noise
 from fmuid import CriterionSpec, ParameterSpec, Simulator
 from fmuid.core.errors import ProblemError
@@ -75,3 +75,16 @@ def test_the_light_model_is_measured_under_each_kind_of_noise():
     assert gain.shares[0] < 0.8  # nothing shows how much it varies ...
     assert np.all(gain.warned == 1.0)  # ... and the table of the stage says so
     assert kinds_of_noise(["0"]) == 2
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_predictions_of_a_wrong_model_have_intervals_that_hold_new_runs(kind):
+    found = new_run_coverage(kind, 8)
+    assert np.mean(found.inside) >= 0.9
+    assert np.all(found.warned == 1.0)
+
+
+def test_predictions_of_a_complete_model_are_as_good_as_its_noise():
+    found = new_run_coverage("white", 8)
+    assert 0.93 <= np.mean(found.inside) <= 0.97
+    assert np.mean(found.warned) < 0.2

@@ -118,6 +118,18 @@ def test_a_residual_that_is_not_white_is_in_the_headline(analytic):
     assert "unexplained" not in right.summary
 
 
+def test_new_runs_are_expected_as_far_off_as_those_that_were_left_out(analytic):
+    stage = identify(runs(analytic, "friction", 1)).stages[0]
+    (expected,) = stage.uncertainty.new_runs
+    assert expected.runs == 6
+    assert 2.0 * expected.rmse < 2.0 * expected.half_width < 6.0 * expected.rmse
+    assert f"y within ±{expected.half_width:.3g} of its prediction (6 runs, each predicted" in str(stage)
+    complete = identify(runs(analytic, "white", 1)).stages[0]
+    assert complete.uncertainty.new_runs[0].rmse == pytest.approx(SIGMA, rel=0.05)
+    assert "new runs" not in str(complete)
+    assert identify(runs(analytic, "friction", 1, count=1)).stages[0].uncertainty.new_runs == ()
+
+
 def test_a_small_coloured_residual_above_the_noise_is_in_the_headline(analytic):
     def offset(time, inputs, p):
         return {"y": p["a"] * time}

@@ -152,6 +152,8 @@ class StageResult:
     def __str__(self) -> str:
         """Return the stage as text: one line on its outcome, a table, and warnings."""
         further = [*map(str, self.machines), *([] if self.front is None else [str(self.front)])]
+        if self.uncertainty is not None and self.unexplained:
+            further += map(str, self.uncertainty.new_runs)
         return "\n".join(
             [
                 self.summary,

@@ -30,10 +30,12 @@ from fmuid.identification.uncertainty.coloured_residuals import Whiteness, score
 from fmuid.identification.uncertainty.identifiability import Identifiability, identifiability
 from fmuid.identification.uncertainty.inherited import Held, effective_degrees
 from fmuid.identification.uncertainty.input_noise import InputNoise, input_noise, noisy_inputs
+from fmuid.identification.uncertainty.new_runs import NewRuns, new_runs
 
 Matrix = tuple[tuple[float, ...], ...]
 LEVEL = 0.95
 _DOUBTED = 0.01  # significance at which residuals contradict a given sigma
+_APART = 0.05  # the same for what the runs say about the parameters; more tests decide what follows from it
 _MISSED, _LARGE = 1e-6, 4.0  # p-value, and mean square in sigmas, of a run that the model does not follow
 _EXPLODED = 100.0  # growth of sensitivities over a run at which segments help
 _CHAOTIC = 1e-3  # relative scatter of predictions under tiny changes of the parameters
@@ -62,7 +64,7 @@ class Uncertainty:
     of recorded inputs moves by more than half a standard error, which intervals include. `naive_errors` (n,) would
     hold for white noise. `whiteness` tests the residuals, `identifiability` the directions that the experiments
     determine, and `noise_floor` is the simulator's. `notes` state conditions of the standard errors, or why there
-    are none; `constraints` are the active ones.
+    are none; `constraints` are the active ones. `new_runs` are the errors of predictions of new runs.
     """
 
     names: tuple[str, ...]
@@ -85,6 +87,7 @@ class Uncertainty:
     few_runs: dict[str, int] = field(default_factory=dict)
     biased: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
+    new_runs: tuple[NewRuns, ...] = ()
 
     @property
     def freedom(self) -> FloatArray:
@@ -112,13 +115,13 @@ def uncertainty_of(
     """Return the uncertainty of the estimate `best` of a problem.
 
     The covariance is the sandwich ``(J'J)^-1 J' W J (J'J)^-1`` in search space. If sigma was given for every
-    residual, W is that noise, taken as exactly known. If the residuals contradict it (by their energy or
-    colour, at 1 %), or if sigma was not given, W contains each case's residual auto- and cross-covariances,
-    tapered (Bartlett) beyond the lag where they vanish in their scatter. Coloured residuals (model error,
-    friction) therefore give a wider covariance than white ones. With only as many residuals as parameters, the
-    noise is unknown, and without a sigma there are no standard errors. At active constraints, the covariance
-    is restricted to directions along them. Errors of parameters fixed at an earlier stage's estimate are added
-    (`fmuid.identification.uncertainty.inherited`).
+    residual, W is that noise, taken as exactly known. If the residuals contradict it (by their energy or colour,
+    at 1 %, or as runs move the estimate apart, at 5 %), or if sigma was not given, W contains each case's residual
+    auto- and cross-covariances, tapered (Bartlett) beyond the lag where they vanish in their scatter. Coloured
+    residuals (model error, friction) therefore give a wider covariance than white ones. With only as many
+    residuals as parameters, the noise is unknown, and without a sigma there are no standard errors. At active
+    constraints, the covariance is restricted to directions along them. Errors of parameters fixed at an earlier
+    stage's estimate are added (`fmuid.identification.uncertainty.inherited`).
 
     Parameters
     ----------
@@ -221,6 +224,7 @@ def uncertainty_of(
         few_runs=_of_few_runs(problem, j, [names[k] for k in scatter.robust]),
         biased=tuple(names[k] for k in biased if known[k]),
         constraints=active.texts,
+        new_runs=new_runs(problem, best.x, here.residuals, j) if whole else (),
         notes=(
             *_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f], names),
             *_exploding(problem, scaled, whiteness, floor),
@@ -269,15 +273,15 @@ def _scatter(
 
     if m <= parameters:
         return by(of_noise if degrees > 0.0 else bread, degrees)
-    coloured = min((w.p_value for w in whiteness), default=1.0) < _DOUBTED
-    memory = scores.memory if coloured else None
+    colour = _combined([w.p_value for w in whiteness])
+    memory = scores.memory if colour < _DOUBTED else None
     clusters = clustered(problem, here.residuals, j, known, memory) if whole else []
     if math.isinf(degrees):
         there = known > 0.0
         energy = float(np.sum((here.residuals[there] / known[there]) ** 2))
-        doubts = [float(chdtrc(m - parameters, energy)), *(w.p_value for w in whiteness)]
-        doubts += [p for p in (scores.growth_p, *(c.p_value for c in clusters)) if p < 1.0]
-        if min(doubts) * len(doubts) >= _DOUBTED:
+        moved = min((c.p_value for c in clusters), default=1.0) * len(clusters)
+        doubts = [float(chdtrc(m - parameters, energy)), *(p for p in (colour, scores.growth_p) if p < 1.0)]
+        if min(doubts) * len(doubts) >= _DOUBTED and (not clusters or moved >= _APART):
             return by(of_noise, degrees)
     covariance = m / (m - parameters) * bread @ scores.meat @ bread
     if math.isinf(degrees):  # the scatter may exceed the given noise, but not fall below it
@@ -296,6 +300,16 @@ def _scatter(
     informed = set() if between is None else set(np.flatnonzero(between.degrees >= _FEW).tolist())
     few = sorted(set(range(j.shape[1])) - informed - scatter.robust.keys())
     return replace(scatter, runs=1 if between is None else between.clusters, few=tuple(few))
+
+
+def _combined(p_values: Sequence[float]) -> float:
+    """Return one p-value for tests of many runs: of what one of them shows alone, or all together (Fisher)."""
+    from scipy.special import chdtrc
+
+    if len(p_values) < 2:
+        return min(p_values, default=1.0)
+    together = -2.0 * float(np.sum(np.log(np.maximum(p_values, np.finfo(float).tiny))))
+    return 2.0 * min(min(p_values) * len(p_values), float(chdtrc(2 * len(p_values), together)))
 
 
 def _within(
@@ -320,7 +334,8 @@ def _by_clusters(scatter: _Scatter, clusters: Sequence[Clustered], within: Float
     covariance, robust, plain = scatter.covariance, dict[int, Clustered](), set[int]()
     degrees = np.full(len(within), scatter.degrees)
     for cluster in clusters:
-        larger = cluster.exceeding(within, CHANCE if cluster.clusters > 2 else _TWO)
+        many = cluster.clusters > 2 or cluster.p_value < _TWO
+        larger = cluster.exceeding(within, CHANCE if many else _TWO)
         larger &= cluster.wider_than(np.diag(covariance), degrees)
         degrees = np.where(larger, cluster.degrees, degrees)
         robust |= dict.fromkeys(np.flatnonzero(larger).tolist(), cluster)
