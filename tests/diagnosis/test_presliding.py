@@ -100,5 +100,7 @@ def test_a_deflection_that_only_shows_at_reversals_is_found_and_measured(
     found = json.loads(Path("found/diagnosis.json").read_text())
     assert (found["verdict"]["kind"], found["verdict"]["effects"]) == ("effect", ["presliding@mass"])
     values = found["model"]["parameters"]
+    together = values["mass.presliding"] + values["rail.c"]  # which of the two brakes shows at reversals only
+    assert together == pytest.approx(FRICTION, rel=0.002)
     assert values["mass.presliding"] == pytest.approx(FRICTION, rel=0.02)
     assert values["mass.presliding_distance"] == pytest.approx(DISTANCE, rel=0.02)
