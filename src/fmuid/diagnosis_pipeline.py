@@ -34,7 +34,7 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.varying import course_of
-from fmuid.diagnosis.verdict import Best, BetweenMachines, Estimate, LawFound, Rest, Verdict
+from fmuid.diagnosis.verdict import Best, BetweenMachines, Diagnosis, Estimate, LawFound, Rest, Verdict
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.discovery.learned_table import Tabulated, tabulate
@@ -153,6 +153,7 @@ def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> bool:
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _DIFFERS = 0.05  # standard deviations: far below what any measurement shows, far above errors of solvers
+_LITTLE = 0.05  # of the gap: an equation or a table for the rest would improve predictions by no more than that
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
@@ -276,6 +277,7 @@ def diagnose(
             (partial(with_timing_of_log, runner=runner), partial(with_starts_of_runs, subject_with=subject_with)),
             lambda changed: diagnose_subject(subject_with(changed), seed=seed, calibration=curves),
         )
+        law = law and not nearly_explained(outcome.diagnosis)
         discovery = find_law(outcome, campaign.models, load_simulator, say=say, seed=seed) if law else None
         added: Candidate | Tabulated | None = None
         if discovery is not None:
@@ -292,6 +294,12 @@ def diagnose(
     # The workers have ended, so any further simulation runs in this process.
     model = replace(outcome.subject.model, runner=in_process)
     return replace(outcome, subject=replace(outcome.subject, model=model))
+
+
+def nearly_explained(diagnosis: Diagnosis) -> bool:
+    """Return whether the effects of the verdict leave too little of the gap for an equation or a table."""
+    named, best = diagnosis.verdict.kind in ("effect", "ambiguous"), diagnosis.best
+    return named and best is not None and best.closure.validated >= 1.0 - _LITTLE
 
 
 def _subject(

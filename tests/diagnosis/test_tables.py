@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 import fmuid
 from fmu_build.build import build
+from fmuid.diagnosis.verdict import Closure
+from fmuid.diagnosis_pipeline import nearly_explained
 from fmuid.discovery.terms import Quantity, table
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 
@@ -165,3 +168,13 @@ def test_a_model_without_a_gap_gets_no_table(tmp_path):
     answer, out = diagnosed(tmp_path, lambda value, wind: 0.0)
     assert answer["refinements"] == []
     assert not (out / "corrected").exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "closed", "enough"),
+    [("effect", 0.96, True), ("ambiguous", 0.96, True), ("effect", 0.94, False), ("unknown", 0.96, False)],
+)
+def test_no_law_is_sought_where_effects_leave_a_twentieth_of_the_gap(kind, closed, enough):
+    """A search for an equation takes minutes, and could improve predictions by no more than what is left."""
+    best = SimpleNamespace(closure=Closure(1.0, closed, (0.9, 1.0)))
+    assert nearly_explained(SimpleNamespace(verdict=SimpleNamespace(kind=kind), best=best)) is enough
