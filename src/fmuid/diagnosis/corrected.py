@@ -120,7 +120,7 @@ def difference(written: Corrected, subject: Subject, fitted: Fitted, *, runner: 
 
     campaign = load_campaign(written.folder / "campaign.toml")
     cases = subject.model.cases_at(fitted.fit.values)
-    chosen = [campaign.measurements[case.id] for case in cases]
+    chosen = [campaign.measurements[name] for case in cases for name in case.experiments]
     simulators = {case.setup: load_simulator(campaign.models[case.setup]) for case in cases}
     again = {case.id: case for case in in_segments(campaign, chosen, simulators, campaign.start_values)}
     fitted_to = {case.id: case.with_model(again[case.id].simulator).task for case in cases}

@@ -27,6 +27,7 @@ from fmuid.simulation.signal_effects import (
     disturbed_task,
     split_signal_parameters,
 )
+from fmuid.simulation.signal_model import SignalModel
 from fmuid.simulation.simulator import Simulator, Task
 
 Prediction = tuple[FloatArray, ...]
@@ -91,6 +92,7 @@ class CampaignModel:
     finer: Mapping[frozenset[str], Mapping[str, float]] = field(default_factory=dict)
     _predictor: Predictor[_Key] = field(default_factory=Predictor, init=False, repr=False)
     _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
+    _sensing: dict[tuple[int, tuple[str, ...]], Segmented] = field(default_factory=dict, init=False, repr=False)
     _finer_cases: dict[tuple[int, float], Case] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -274,9 +276,26 @@ class CampaignModel:
         tied = {name: e(every) for name, e in self.tie.items() if name in case.simulator.variables}
         return {**starts, **case.start_values(values), **tied}
 
+    def _placed(self, case: Case, plain: Mapping[str, float], signal: Effects) -> tuple[dict[str, float], Effects]:
+        """Return the start values of a case, and the effects on signals that act outside its simulator.
+
+        States of segments are fitted to what the sensors show, so effects on signals act inside of them.
+        """
+        values = self.start_values(case, plain)
+        if isinstance(case.simulator, Segmented):
+            return values | _of_variables(case, signal), {}
+        return values, signal
+
     def _simulator(self, case: Case, values: Mapping[str, float]) -> Simulator:
         variant = self.variant(case.setup, values)
-        return case.simulator if variant is None else in_place_of(case.simulator, variant)
+        simulator = case.simulator if variant is None else in_place_of(case.simulator, variant)
+        names = tuple(sorted(name for name in values if name not in simulator.variables))
+        if not names or not isinstance(simulator, Segmented):
+            return simulator
+        key = id(simulator), names
+        if key not in self._sensing:
+            self._sensing[key] = simulator.over(SignalModel(simulator.simulator, names))
+        return self._sensing[key]
 
     def predict_cases(self, wanted: Sequence[tuple[int, Task, Mapping[str, float]]]) -> list[Outcome]:
         """Return the (C, N) prediction of a case, by its number, as a variant of its task at some values."""
@@ -342,8 +361,7 @@ class CampaignModel:
             for at in (want.values, want.near):
                 if at is not None and id(at) not in split:
                     split[id(at)] = self._split(at)
-            plain, signal = split[id(want.values)]
-            values = self.start_values(want.case, plain)
+            values, signal = self._placed(want.case, *split[id(want.values)])
             disturbed = _disturbed(want.case, want.index, signal, want.drive)
             keys.append(_key(want, values, disturbed))
             around.append(disturbed)
@@ -351,10 +369,8 @@ class CampaignModel:
                 try:
                     simulator = self._simulator(want.case, values)
                     if want.near is not None:
-                        plain_near, signal_near = split[id(want.near)]
-                        there = self.start_values(want.case, plain_near)
-                        origin = self._simulator(want.case, there)
-                        simulator = _begun(want, simulator, origin, there, signal_near)
+                        there, _ = self._placed(want.case, *split[id(want.near)])
+                        simulator = _begun(want, simulator, self._simulator(want.case, there), there)
                     jobs[keys[-1]] = (simulator, _task(want, disturbed), values)
                 except SimulationError as error:
                     refused[keys[-1]] = error
@@ -366,6 +382,7 @@ class CampaignModel:
                 results.append(outcome)
                 continue
             plain, signal = split[id(want.values)]
+            _, signal = self._placed(case, plain, signal)
             shown = np.asarray(outcome)
             if disturbed is not None:
                 shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
@@ -376,14 +393,24 @@ class CampaignModel:
         return results
 
 
-def _begun(
-    want: _Wanted, simulator: Simulator, origin: Simulator, values: Mapping[str, float], signal: Effects
-) -> Simulator:
+def _of_variables(case: Case, effects: Effects) -> dict[str, float]:
+    """Return the effects on signals of a case as parameters of its model: ``variable.property``."""
+    variables = {c.signal: c.variable for c in case.channels} | {name: name for name in case.task.inputs}
+    found = {}
+    for signal, properties in effects.items():
+        for name, value in properties.items():
+            other = name.removeprefix("crosstalk[").removesuffix("]")
+            if signal in variables and (other == name or other in variables):
+                prop = name if other == name else f"crosstalk[{variables[other]}]"
+                found[f"{variables[signal]}.{prop}"] = value
+    return found
+
+
+def _begun(want: _Wanted, simulator: Simulator, origin: Simulator, values: Mapping[str, float]) -> Simulator:
     """Return the segments of a model, begun in the states that fit in `origin` at its values."""
     assert isinstance(simulator, Segmented)
     assert isinstance(origin, Segmented)
-    task = _task(want, _disturbed(want.case, want.index, signal, None))
-    return simulator.from_states_at(origin, task, values)
+    return simulator.from_states_at(origin, want.case.task, values)
 
 
 def _conditions(case: Case) -> str:
@@ -406,7 +433,9 @@ def _key(want: _Wanted, values: Mapping[str, float], disturbed: Disturbed | None
     """Return the key of a simulation's result; a value equal to the model's own start value is left out."""
     variables, task = want.case.simulator.variables, want.case.task
     settings = task.start_values
-    relevant = frozenset((n, v) for n, v in values.items() if v != variables[n].start or n in settings)
+    relevant = frozenset(
+        (n, v) for n, v in values.items() if n not in variables or v != variables[n].start or n in settings
+    )
     changed = {} if disturbed is None else dict(disturbed.inputs)
     if disturbed is not None and disturbed.time is not task.time:
         changed[""] = disturbed.time

@@ -153,7 +153,7 @@ class Segmented(Wrapped):
         self.simulator, self.task, self.length = simulator, task, length
         self.target, self.weight = read_only(np.where(weight > 0.0, target, 0.0)), read_only(weight)
         self.at = frozen_mapping(at)
-        self._states = states_of(simulator)
+        self._states = states_of(simulator, whole=length == math.inf)
         self.exact = simulator.differentiates(set(self.states))
         self._cut: _Cut | None = None
         self._pieces: OrderedDict[int, tuple[Task, list[_Piece]]] = OrderedDict()
@@ -563,8 +563,10 @@ def in_place_of(old: Simulator, new: Simulator) -> Simulator:
     return old.over(new) if isinstance(old, Segmented) else new
 
 
-def states_of(simulator: Simulator) -> tuple[str, ...]:
+def states_of(simulator: Simulator, *, whole: bool = False) -> tuple[str, ...]:
     """Return the continuous states of a model from which a run can be started.
+
+    A `whole` run may start from some of them: the others, as those of effects, begin as the model says.
 
     Raises
     ------
@@ -578,6 +580,8 @@ def states_of(simulator: Simulator) -> tuple[str, ...]:
             fix="do not use segments, or use a single FMU that lists its states with exact start values",
         )
     refused = [s for s in states if s in simulator.unsettable]
+    if whole and len(refused) < len(states):
+        return tuple(s for s in states if s not in refused)
     if refused:
         raise ProblemError(
             f"the state '{refused[0]}' cannot be started from a given value: the FMU calculates it",

@@ -69,6 +69,16 @@ class SignalModel(Wrapped):
         return self._variables
 
     @property
+    def states(self) -> tuple[str, ...]:
+        """Continuous states of the model."""
+        return self.simulator.states
+
+    @property
+    def unsettable(self) -> frozenset[str]:
+        """States of the model that cannot be set."""
+        return self.simulator.unsettable
+
+    @property
     def interface(self) -> Interface | None:
         """How the model's FMU is simulated."""
         return self.simulator.interface

@@ -5,6 +5,7 @@ See `fmuid.simulation.segmented` and `fmuid.simulation.observer_model`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -94,7 +95,7 @@ def why_whole(stage: StageSpec, simulator: Simulator) -> str | None:
     """Return why runs cannot be cut into the segments of a stage, for example because of an effect's state."""
     if stage.segments is not None or stage.observer:
         try:
-            states_of(simulator)
+            states_of(simulator, whole=stage.segments == math.inf)
         except ProblemError as error:
             return error.what
     return None
