@@ -7,13 +7,13 @@ import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 
 from fmu_build.graph import SX, if_else
 
-Scalar = bool | int | float | SX
+Scalar: TypeAlias = bool | int | float | SX
 Number = bool | int | float
 
 
@@ -57,7 +57,7 @@ class Array:
 
 
 Record = dict[str, "Value"]
-Value = Scalar | str | Array | Record | tuple["Value", ...] | None
+Value: TypeAlias = Scalar | str | Array | Record | tuple["Value", ...] | None
 
 
 def sx(value: Value) -> SX:

@@ -237,12 +237,12 @@ class Evaluator:
     def _array(self, node: ArrayOf) -> Value:
         parts = [self(e) for e in node.items]
         if parts and all(isinstance(p, str) for p in parts):
-            return Array((len(parts),), tuple(parts))  # type: ignore[arg-type]
+            return Array((len(parts),), tuple(parts))
         if parts and all(isinstance(p, dict) for p in parts):
             # an array of records is a record of arrays
             first = parts[0]
             assert isinstance(first, dict)
-            return {name: Array.stack([p[name] for p in parts]) for name in first}  # type: ignore[index,call-overload]
+            return {name: Array.stack([p[name] for p in parts]) for name in first}  # type: ignore[index]
         return Array.stack(parts)
 
     def _matrix(self, node: Matrix) -> Value:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
 import casadi as ca
+from casadi import SX as SX
 
-SX = ca.SX
 T = TypeVar("T")
 Gradient = dict[int, SX]  # symbol -> partial derivative, by SX.element_hash()
 

@@ -203,7 +203,7 @@ class _Describer:
         """Name of a state. A derivative has the name of a variable equal to it, or else becomes a variable."""
         state, place = self.states[i], Location("x", i)
         if self.scope.declared(state.symbol) is not None:
-            return state.symbol.name()
+            return str(state.symbol.name())
         initial, value = self._state_start(i)
         for k, variable in enumerate(variables):
             if variable.location == place:
@@ -214,7 +214,7 @@ class _Describer:
         for order in range(state.order):
             unit = _per_second(unit)
             below = f"der({below})" if order else below
-        name = state.symbol.name()
+        name = str(state.symbol.name())
         variables.append(
             Variable(name, "Real", place, "local", "continuous", initial, value, unit=unit, derivative_of=below)
         )
