@@ -214,8 +214,8 @@ def diagnose(
     rehearse
         Number of plants with known effects to simulate from the fitted model, with inputs, repeats and noise of
         the measurements and a background of small effects, and to diagnose first. The result lists which were
-        found, and the probabilities are calibrated on them. The calibration is stored in the user's cache and
-        reused; the default is the one that comes with the package.
+        found, and the probabilities are calibrated on them. The calibration is kept in the user's cache for later
+        diagnoses. Without one there, the calibration shipped with fmuid is used.
     law
         Whether to look for an equation where the verdict leaves more than noise.
     tolerance

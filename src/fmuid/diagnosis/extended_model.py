@@ -158,7 +158,7 @@ class CampaignModel:
             # Segments are fitted to the measured outputs.
             read = case.task.outputs if isinstance(case.simulator, Segmented) else ()
             task = replace(case.task, outputs=tuple(dict.fromkeys((*read, *variables))))
-            starts = self.start_values(case, {**self.fixed, **values})
+            starts, _ = self._placed(case, *self._split(values))
             jobs.append((self._simulator(case, starts), task, starts))
         outcomes = self.runner(jobs)
         for outcome in outcomes:
@@ -354,7 +354,7 @@ class CampaignModel:
         """Return the (C, N) prediction of each case that is wanted, as its sensors would show it."""
         split: dict[int, tuple[dict[str, float], dict[str, dict[str, float]]]] = {}  # by the identity of values
         keys: list[_Key] = []
-        around: list[Disturbed | None] = []
+        outside: list[tuple[Effects, Disturbed | None]] = []
         jobs: dict[_Key, Job] = {}
         refused: dict[_Key, SimulationError] = {}
         for want in wanted:
@@ -364,7 +364,7 @@ class CampaignModel:
             values, signal = self._placed(want.case, *split[id(want.values)])
             disturbed = _disturbed(want.case, want.index, signal, want.drive)
             keys.append(_key(want, values, disturbed))
-            around.append(disturbed)
+            outside.append((signal, disturbed))
             if keys[-1] not in jobs and keys[-1] not in refused:
                 try:
                     simulator = self._simulator(want.case, values)
@@ -376,17 +376,15 @@ class CampaignModel:
                     refused[keys[-1]] = error
         simulated = {**self._predictor(jobs, self.runner), **refused}
         results: list[Outcome] = []
-        for want, key, disturbed in zip(wanted, keys, around, strict=True):
+        for want, key, (signal, disturbed) in zip(wanted, keys, outside, strict=True):
             outcome, case = simulated[key], want.case
             if isinstance(outcome, SimulationError):
                 results.append(outcome)
                 continue
-            plain, signal = split[id(want.values)]
-            _, signal = self._placed(case, plain, signal)
             shown = np.asarray(outcome)
             if disturbed is not None:
                 shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
-            sensed = case.sensed(shown, {**self.fixed, **plain})
+            sensed = case.sensed(shown, {**self.fixed, **split[id(want.values)][0]})
             inputs = {n: u[case.lead :] for n, u in case.task.inputs.items()}
             names = [c.signal for c in case.channels]
             results.append(disturbed_readings(sensed, names, signal, case.time, inputs))

@@ -98,11 +98,7 @@ def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
         (N,) in every experiment.
     """
     target = np.concatenate(flow)
-    names = spot.own or spot.courses[0]
-    beside = np.stack(
-        [np.ones(len(target)), *(np.concatenate([c[n] for c in spot.courses]) for n in names)], axis=1
-    )
-    basis = np.linalg.qr(beside)[0]
+    basis = np.linalg.qr(np.stack([np.concatenate(one) for one in _linear(spot)], axis=1))[0]
     target = project_off(target, basis)
     nearest: dict[str, tuple[float, Proposal]] = {}
     for term in spot.terms:

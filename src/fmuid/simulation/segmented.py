@@ -110,10 +110,9 @@ class _Begin:
 
     @property
     def digest(self) -> bytes:
-        """What the states depend on, in brief."""
+        """What the states in `origin` depend on, in brief."""
         whole = self.task if not self.task.along else replace(self.task, along=())
-        seen = digest_of_task(whole) + digest_of_values(self.parameters)
-        return hashlib.blake2b(self.origin.token.encode() + seen, digest_size=16).digest()
+        return hashlib.blake2b(digest_of_task(whole) + digest_of_values(self.parameters), digest_size=16).digest()
 
 
 class Segmented(Wrapped):
@@ -176,8 +175,10 @@ class Segmented(Wrapped):
     def token(self) -> str:
         """Identity of the model for fingerprints."""
         seen = hashlib.blake2b(self.target.tobytes() + self.weight.tobytes(), digest_size=8).hexdigest()
-        begin = "" if self._begin is None else f" from {self._begin.digest.hex()}"
-        return f"{self.simulator.token} in segments of {self.length} of {seen}{begin}"
+        token = f"{self.simulator.token} in segments of {self.length} of {seen}"
+        if self._begin is None:
+            return token
+        return f"{token} from {self._begin.digest.hex()} in {self._begin.origin.token}"
 
     @property
     def segments(self) -> int:

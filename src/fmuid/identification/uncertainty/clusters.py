@@ -164,12 +164,17 @@ def _rows(problem: Problem, parts: int) -> list[Rows]:
     return [rows for rows in whole if len(rows)]
 
 
+def whitening(information: FloatArray) -> FloatArray:
+    """Return R (n, n), so that J R has orthonormal columns, of the `information` J' J of a Jacobian."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1])))
+
+
 def _between(groups: Sequence[_Part], of: str) -> Clustered:
     from scipy.special import chdtrc
 
     count, n = len(groups), groups[0].jacobian.shape[1]
-    values, vectors = np.linalg.eigh(np.sum([g.jacobian.T @ g.jacobian for g in groups], axis=0))
-    root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))  # j @ root has orthonormal columns
+    root = whitening(np.sum([g.jacobian.T @ g.jacobian for g in groups], axis=0))
     moves, expected, pull = np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n, n))
     score, rank = 0.0, 0
     for k, group in enumerate(groups):

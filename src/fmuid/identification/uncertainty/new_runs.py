@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.uncertainty.clusters import whitening
 
 _FEWEST = 2  # runs
 _ALONE = 1e-3  # share of the information on a direction that the others must hold
@@ -63,10 +65,11 @@ def new_runs(problem: Problem, x: FloatArray, residuals: FloatArray, j: FloatArr
 
     squares: dict[tuple[str, str], list[float]] = {}
     units: dict[tuple[str, str], str | None] = {}
-    points = [_without(problem, case.id, x, residuals, j) for case in problem.cases]
-    left_out = [
-        (case, problem.space.tried(p)[0]) for case, p in zip(problem.cases, points, strict=True) if p is not None
-    ]
+    root, space, left_out = whitening(j.T @ j), problem.space, []
+    for case in problem.cases:
+        step = _step_without(_rows(problem, case.id), residuals, j, root)
+        if step is not None:
+            left_out.append((case, space.tried(np.clip(x + step, space.lower, space.upper))[0]))
     if len(left_out) < _FEWEST:
         return ()
     outcomes = problem.runner(
@@ -96,22 +99,21 @@ def new_runs(problem: Problem, x: FloatArray, residuals: FloatArray, j: FloatArr
     return tuple(found)
 
 
-def _without(
-    problem: Problem, case: str, x: FloatArray, residuals: FloatArray, j: FloatArray
+def _rows(problem: Problem, case: str) -> NDArray[np.intp]:
+    """Return the residuals of a case."""
+    slices = zip(problem.criteria, problem.slices, strict=True)
+    return np.concatenate([np.arange(r.start, r.stop) for (c, _), r in slices if c.id == case])
+
+
+def _step_without(
+    rows: NDArray[np.intp], residuals: FloatArray, j: FloatArray, root: FloatArray
 ) -> FloatArray | None:
-    """Return the point (n,) that the other runs determine, None if they do not."""
-    rows = np.concatenate(
-        [
-            np.arange(r.start, r.stop)
-            for (c, _), r in zip(problem.criteria, problem.slices, strict=True)
-            if c.id == case
-        ]
-    )
-    values, vectors = np.linalg.eigh(j.T @ j)
-    root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    """Return the step (n,) to the point that the other residuals determine, None if they do not.
+
+    The columns of `j @ root` are orthonormal.
+    """
     part = j[rows] @ root
-    others = np.eye(len(x)) - part.T @ part
+    others = np.eye(len(root)) - part.T @ part
     if np.linalg.eigvalsh(others)[0] < _ALONE:
         return None
-    step = root @ np.linalg.solve(others, part.T @ residuals[rows])
-    return np.asarray(np.clip(x + step, problem.space.lower, problem.space.upper))
+    return np.asarray(root @ np.linalg.solve(others, part.T @ residuals[rows]))
