@@ -11,7 +11,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from fmuid.core.campaign import Campaign, ModelSpec, ParameterSpec, StageSpec
 from fmuid.core.errors import ProblemError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
+from fmuid.identification.identify import identify
 from fmuid.identification.validate import validate
 from fmuid.simulation.simulator import Simulator, Task, Variable
 
@@ -121,22 +121,14 @@ def new_run_coverage(kind: str, draws: int, *, runs: int = RUNS) -> Predicted:
     """Return how often the 95 % intervals of predictions hold the samples of two new runs of the same kind."""
     simulators, shares, warned = {"bench": Lag()}, [], []
     for seed in range(draws):
-        options: Any = {"draws": 1, "kind": kind, "seed": seed, "simulators": simulators}
-        _, stages = fitted_stages(light_campaign(seed, runs), _STAGE, **options)
-        found = next(stages)
-        (expected,) = found.uncertainty.new_runs if found.uncertainty is not None else ()
-        _, _, campaigns = drawn_campaigns(
-            light_campaign(_NEW + seed, 2), _STAGE, **options | {"seed": _NEW + seed}
+        fitted, new = (
+            next(drawn_campaigns(one, _STAGE, draws=1, kind=kind, seed=number, simulators=simulators)[2])
+            for number, one in ((seed, light_campaign(seed, runs)), (_NEW + seed, light_campaign(_NEW + seed, 2)))
         )
-        new = next(campaigns)
-        shown = validate(found.parameters, new, experiments=new.identification, simulators=simulators)
-        errors = [
-            np.abs(prediction - case.channels[0].repeats)
-            for case, prediction in zip(shown.cases, shown.predictions, strict=True)
-            if prediction is not None
-        ]
-        shares.append(float(np.mean(np.array(errors) < expected.half_width)))
-        warned.append(warns(found))
+        result = identify(fitted, simulators=simulators)
+        shown = validate(result, new, experiments=new.identification, simulators=simulators)
+        shares.append(np.mean([score.within for score in shown.scores]))
+        warned.append(warns(result.stages[0]))
     return Predicted(np.array(shares), np.array(warned, dtype=np.float64))
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.interval_coverage import KINDS, WRONG, interval_coverage, main
-from benchmarks.kinds_of_noise import light_coverage, new_run_coverage
+from benchmarks.interval_coverage import KINDS, WRONG, drawn_campaigns, interval_coverage, main
+from benchmarks.kinds_of_noise import Lag, light_campaign, light_coverage, new_run_coverage
 from benchmarks.kinds_of_noise import main as kinds_of_noise
-from fmuid import CriterionSpec, ParameterSpec, Simulator
+from fmuid import CriterionSpec, ParameterSpec, Simulator, identify, validate
 from fmuid.core.errors import ProblemError
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
 
@@ -88,3 +88,28 @@ def test_predictions_of_a_complete_model_are_as_good_as_its_noise():
     found = new_run_coverage("white", 8)
     assert 0.93 <= np.mean(found.inside) <= 0.97
     assert np.mean(found.warned) < 0.2
+
+
+def test_a_validation_counts_the_new_runs_that_are_within_their_intervals():
+    models = {"bench": Lag()}
+    old, new = (
+        next(
+            drawn_campaigns(
+                light_campaign(seed, 4), "all", draws=1, kind="friction", seed=seed, simulators=models
+            )[2]
+        )
+        for seed in (0, 1)
+    )
+    result = identify(old, simulators=models)
+    (expected,) = result.stages[0].new_runs
+    shown = validate(
+        result, new, experiments=new.identification, simulators=models
+    )  # other runs of the same names
+    assert {score.expected for score in shown.scores} == {expected.half_width}
+    assert all(score.within > 0.85 for score in shown.scores)
+    assert "4 of 4 new runs have at least 85 % of their samples within (mean 9" in str(shown)
+    assert "4 of 4 new runs" in shown._repr_html_()
+    assert shown.to_dict()["scores"][0]["within"] == shown.scores[0].within
+    identified = validate(result, old, experiments=old.identification, simulators=models)
+    assert {score.within for score in identified.scores} == {None}
+    assert "interval" not in str(identified)

@@ -29,6 +29,8 @@ def runs(analytic, kind, seed, count=6, scatter=0.03):
         y = lag(TIME, {"u": u}, TRUTH | {"k": gain * TRUTH["k"]})["y"]
         if kind == "friction":
             y = y - 0.3 * np.tanh(20.0 * np.gradient(y))
+        if kind == "saturation":
+            y = np.clip(y, -1.5 * np.std(y), 1.5 * np.std(y))
         level = 0.01 + 0.1 * np.abs(y) if kind == "signal" else SIGMA
         measured = y + level * random.standard_normal(300)
         recorded = u + 0.1 * random.standard_normal(300) * (kind == "inputs")
@@ -116,6 +118,25 @@ def test_a_residual_that_is_not_white_is_in_the_headline(analytic):
     right = identify(runs(analytic, "white", 1)).stages[0]
     assert right.sound
     assert "unexplained" not in right.summary
+
+
+def test_residuals_at_large_signals_are_not_mistaken_for_noise_that_grows(analytic):
+    """They are near zero elsewhere, so a plant that saturates looks like a complete model with such noise."""
+    for seed in range(10):
+        stage = identify(runs(analytic, "saturation", seed)).stages[0]
+        assert "% of y unexplained, not white" in stage.summary
+        variances = [w.variance for w in stage.uncertainty.whiteness]
+        assert np.mean(variances) == pytest.approx(stage.cost / (6 * 300), rel=1e-6)
+
+
+def test_white_noise_that_grows_with_the_signal_is_white(analytic):
+    chances = []
+    for seed in range(40):
+        stage = identify(runs(analytic, "signal", seed)).stages[0]
+        assert "not white" not in stage.summary
+        chances += [w.p_value for w in stage.uncertainty.whiteness]
+    assert np.mean(np.array(chances) < 0.01) < 0.04
+    assert 0.02 < np.mean(np.array(chances) < 0.05) < 0.1
 
 
 def test_new_runs_are_expected_as_far_off_as_those_that_were_left_out(analytic):

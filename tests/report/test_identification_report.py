@@ -146,6 +146,16 @@ def test_fit_of_every_run_is_given_with_its_noise_floor(written):
     assert float(values["NRMSE, %"]) < 1.5
 
 
+def test_validation_runs_are_compared_with_the_intervals_of_their_predictions(written):
+    (values,) = read(written.parent / "data" / "fit-validation.csv")
+    assert 0.01 < float(values["95 % interval, ±"]) < 0.04  # t-distribution, two runs with noise of 0.01
+    assert 90.0 <= float(values["within, %"]) <= 100.0
+    assert "intervals: 1 of 1 new run have at least 85 % of" in " ".join(Page(written.read_text()).text.split())
+    fitted = read(written.parent / "data" / "fit-identification.csv")
+    assert fitted
+    assert all("within, %" not in row for row in fitted)
+
+
 def test_what_was_found_about_the_estimate_is_shown(written):
     names = {p.stem for p in (written.parent / "figures").iterdir()}
     assert {"profiles-both", "front-both"} <= names

@@ -23,6 +23,7 @@ from fmuid.identification.analyses import Findings, analyse, bounds_reached
 from fmuid.identification.history import History
 from fmuid.identification.misfit import misfit, unexplained
 from fmuid.identification.observer import Observer, Progress
+from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.problem.solver_error import UNSEEN
@@ -173,6 +174,7 @@ def identify(
         parameters={},
         versions=versions(_LIBRARIES),
         inputs=hashes_of(campaign) if campaign else {},
+        recordings=_recordings(campaign, plan) if campaign else (),
         folder=None if folder is None else str(folder),
     )
     with (
@@ -200,6 +202,16 @@ def identify(
             summary.to_json(folder / FILE)
         history.close(complete=summary.status is not Status.INTERRUPTED)
     return summary
+
+
+def _recordings(campaign: Campaign, stages: Iterable[StageSpec | Problem]) -> tuple[str, ...]:
+    runs = (
+        run.digest
+        for stage in stages
+        if isinstance(stage, StageSpec)
+        for run in experiments_of(campaign, stage.experiments, where=f"stage '{stage.name}'")
+    )
+    return tuple(sorted(set(runs)))
 
 
 def check_stages(campaign: Campaign, simulators: Mapping[str, Simulator]) -> None:

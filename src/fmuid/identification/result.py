@@ -28,6 +28,7 @@ from fmuid.identification.solvers.pareto import Front
 from fmuid.identification.solvers.search import Link, Start, Status
 from fmuid.identification.uncertainty.between_machines import MachineSpread
 from fmuid.identification.uncertainty.confidence import Uncertainty
+from fmuid.identification.uncertainty.new_runs import NewRuns
 from fmuid.identification.uncertainty.posterior import Posterior
 from fmuid.identification.uncertainty.profiles import Profile
 from fmuid.identification.uncertainty.propagation import CriterionSpread
@@ -152,8 +153,7 @@ class StageResult:
     def __str__(self) -> str:
         """Return the stage as text: one line on its outcome, a table, and warnings."""
         further = [*map(str, self.machines), *([] if self.front is None else [str(self.front)])]
-        if self.uncertainty is not None and self.unexplained:
-            further += map(str, self.uncertainty.new_runs)
+        further += map(str, self.new_runs)
         return "\n".join(
             [
                 self.summary,
@@ -165,7 +165,8 @@ class StageResult:
 
     def _repr_html_(self) -> str:
         table = html_table(_cells(self.estimates))
-        return html_lines([self.summary]) + table + html_lines([f"! {w}" for w in self.warnings])
+        further = [*map(str, self.new_runs), *(f"! {w}" for w in self.warnings)]
+        return html_lines([self.summary]) + table + html_lines(further)
 
     @property
     def summary(self) -> str:
@@ -181,6 +182,11 @@ class StageResult:
         )
         left = "".join(f"; {one}" for one in self.unexplained)
         return f"{how}, {self.evaluations} evaluations in {self.seconds:.1f} s{cost}{left}"
+
+    @property
+    def new_runs(self) -> tuple[NewRuns, ...]:
+        """Errors of predictions of new runs, where residuals are more than noise."""
+        return self.uncertainty.new_runs if self.uncertainty is not None and self.unexplained else ()
 
     @property
     def sound(self) -> bool:
@@ -204,6 +210,8 @@ class Result(Plottable):
         Versions of fmuid and of the libraries used.
     inputs
         SHA-256 of the measurement file and the FMUs, by name.
+    recordings
+        SHA-256 of the runs of its stages.
     seconds
         Total wall time, s.
     folder
@@ -218,6 +226,7 @@ class Result(Plottable):
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     inputs: dict[str, str] = field(default_factory=dict)
+    recordings: tuple[str, ...] = ()
     folder: str | None = None
 
     @property

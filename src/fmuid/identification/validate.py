@@ -12,7 +12,7 @@ import numpy as np
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
-from fmuid.core.formatting import html_table, text_table
+from fmuid.core.formatting import counted, html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.plottable import Plottable
@@ -25,6 +25,8 @@ from fmuid.simulation.simulator import Simulator
 
 if TYPE_CHECKING:
     from fmuid.core.frames import Library
+
+_ENOUGH = 0.85  # share of a run's samples within an interval that 95 % of the samples of all runs are within
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,10 @@ class RunScore:
         Norm of the error divided by the norm of the measurement, without removing the mean.
     noise_floor
         Root mean square of the sensor noise, in `unit`: no model can be expected to be better. None if unknown.
+    expected, within
+        Half width, in `unit`, of the 95 % interval of the samples of new runs, and the share of the samples within
+        it. None for runs that were identified, and where the result has no such interval
+        (`fmuid.identification.uncertainty.new_runs`).
     """
 
     experiment: str
@@ -55,6 +61,8 @@ class RunScore:
     relative_error: float
     noise_floor: float | None
     failure: str | None = None
+    expected: float | None = None
+    within: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,18 +84,22 @@ class Validation(Plottable):
         raise ProblemError(f"no score for {key[1]} in {key[0]}", fix="see the table of scores")
 
     def __str__(self) -> str:
-        """Return the scores as a table."""
-        return text_table(self._rows())
+        """Return the scores as a table, and how many new runs are as their intervals predict."""
+        return "\n".join([text_table(self._rows()), *within_intervals(self.scores)])
 
     def _repr_html_(self) -> str:
-        return html_table(self._rows())
+        return html_table(self._rows()) + html_lines(within_intervals(self.scores))
 
     def _rows(self) -> list[list[str]]:
         header = ["run", "signal", "unit", "RMSE", "noise", "NRMSE", "relative error"]
+        with_intervals = any(s.expected is not None for s in self.scores)
+        header += ["95 % interval", "within"] if with_intervals else []
         rows = [header]
         for s in self.scores:
             noise = "" if s.noise_floor is None else f"{s.noise_floor:.3g}"
             numbers = [f"{s.rmse:.4g}", noise, f"{100 * s.nrmse:.3g} %", f"{100 * s.relative_error:.3g} %"]
+            if s.expected is not None and s.within is not None:
+                numbers += [f"±{s.expected:.3g}", f"{100 * s.within:.3g} %"]
             rows.append([s.experiment, s.signal, s.unit or "", *(numbers if s.failure is None else [s.failure])])
             rows[-1] += [""] * (len(header) - len(rows[-1]))
         return rows
@@ -102,6 +114,22 @@ class Validation(Plottable):
     def to_dict(self) -> dict[str, object]:
         """Return the scores as plain values."""
         return {"scores": [asdict(score) for score in self.scores]}
+
+
+def within_intervals(scores: Sequence[RunScore]) -> list[str]:
+    """Return how many new runs lie within their prediction intervals, as a sentence; empty without intervals."""
+    runs: dict[str, list[float]] = {}
+    for score in scores:
+        if score.within is not None:
+            runs.setdefault(score.experiment, []).append(score.within)
+    if not runs:
+        return []
+    inside = sum(min(shares) >= _ENOUGH for shares in runs.values())
+    share = float(np.mean([share for shares in runs.values() for share in shares]))
+    return [
+        f"95 % prediction intervals: {inside} of {counted(len(runs), 'new run')} have at least "
+        f"{100 * _ENOUGH:.0f} % of their samples within (mean {100 * share:.3g} %)"
+    ]
 
 
 @in_one_thread
@@ -161,12 +189,17 @@ def validate(
         )
     values = campaign.start_values | dict(estimates)
     cases = cases_of(campaign, chosen, simulators or load_models(campaign), values)
+    stages = result.stages if isinstance(result, Result) else ()
+    seen = set(result.recordings) if isinstance(result, Result) else set()
+    identified = {run.id for run in chosen if run.digest in seen}
+    intervals = (new for stage in stages if stage.uncertainty is not None for new in stage.uncertainty.new_runs)
+    expected = {(new.setup, new.signal): new.half_width for new in intervals}  # the last stage's count
     scores: list[RunScore] = []
     predictions: list[FloatArray | None] = []
     for case, outcome in zip(cases, predicted(cases, values, runner), strict=True):
         sensed, failure = (None, str(outcome)) if isinstance(outcome, SimulationError) else (outcome, None)
         predictions.append(sensed)
-        scores += _scores(case, sensed, failure)
+        scores += _scores(case, sensed, failure, expected if identified.isdisjoint(case.experiments) else {})
     return Validation(tuple(scores), cases, tuple(predictions))
 
 
@@ -204,7 +237,9 @@ def cases_of(
     return tuple(sorted(cases, key=lambda case: order[case.experiments[0]]))
 
 
-def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> Sequence[RunScore]:
+def _scores(
+    case: Case, prediction: FloatArray | None, failure: str | None, expected: Mapping[tuple[str, str], float]
+) -> Sequence[RunScore]:
     scores = []
     for k, channel in enumerate(case.channels):
         measured = channel.repeats
@@ -212,6 +247,7 @@ def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> S
         error = np.full(1, np.nan) if prediction is None else (prediction[k] - measured)[there]
         rmse = float(np.sqrt(np.mean(error**2)))
         factor = abs(channel.to_shown.factor)
+        half_width = None if prediction is None else expected.get((case.setup, channel.signal))
         spread, size = float(np.std(measured[there])), float(np.sqrt(np.mean(measured[there] ** 2)))
         scores.append(
             RunScore(
@@ -225,6 +261,8 @@ def _scores(case: Case, prediction: FloatArray | None, failure: str | None) -> S
                 rmse / size if size > 0.0 else float("nan"),
                 None if channel.noise.source == "unknown" else factor * channel.noise.sigma,
                 failure,
+                half_width,
+                None if half_width is None else float(np.mean(factor * np.abs(error) <= half_width)),
             )
         )
     return scores

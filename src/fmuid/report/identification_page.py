@@ -12,7 +12,7 @@ from fmuid.core.formatting import Fact, interval_digits, interval_text
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import read_history
 from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
-from fmuid.identification.validate import RunScore, Validation, validate
+from fmuid.identification.validate import RunScore, Validation, validate, within_intervals
 from fmuid.report import figures
 from fmuid.report.document import Document, Section, write_document
 from fmuid.report.figures import Overlay
@@ -352,7 +352,9 @@ def _fit_section(
         overlaid = []
     if any(s.failure is None for s in judged):
         items.append(figures.fit_figure(f"nrmse-{role}", _worst(judged)))
-    header = ("run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %", "note")
+    header = ["run", "signal", "unit", "repeats", "RMSE", "noise floor", "NRMSE, %", "relative error, %"]
+    with_intervals = any(s.expected is not None for s in scores)
+    header += ["95 % interval, ±", "within, %"] if with_intervals else []
     rows = tuple(
         (
             s.experiment,
@@ -363,6 +365,7 @@ def _fit_section(
             s.noise_floor,
             100 * s.nrmse,
             100 * s.relative_error,
+            *([s.expected, None if s.within is None else 100 * s.within] if with_intervals else []),
             s.failure or "",
         )
         for s in scores
@@ -371,8 +374,14 @@ def _fit_section(
         "Over all repeats. Noise floor: RMSE that the sensor noise alone leaves. NRMSE: relative to the standard "
         "deviation of the measurement; relative error: relative to its root mean square."
     )
-    digits = (5, 5, 5, 5, 3, 3, 3, 3, 5)
-    items.append(Table(header, rows, f"fit-{role}", "Fit, run by run", caption, digits))
+    if with_intervals:
+        caption += (
+            " 95 % interval: 95 % of the samples of a new run are expected within this distance of their "
+            "prediction; it follows from the errors of the fitted runs, each predicted from the others."
+        )
+    digits = (5, 5, 5, 5, *(3,) * (len(header) - 4), 5)
+    items.append(Table((*header, "note"), rows, f"fit-{role}", "Fit, run by run", caption, digits))
+    text += "".join(f" {sentence[:1].upper()}{sentence[1:]}." for sentence in within_intervals(scores))
     return Section(title, tuple(items), text, tuple(overlaid), "Every run over time")
 
 

@@ -47,6 +47,7 @@ def stage_section(
     items += [*front_items(result), *profile_items(result)]
     details.append(spread_table(result))
     text = ". ".join(s[:1].upper() + s[1:] for s in (result.summary.partition(": ")[2], result.why)) + "."
+    text += "".join(f" {str(new)[:1].upper()}{str(new)[1:]}." for new in result.new_runs)
     text += "".join(f" Warning: {w}." for w in result.warnings)
     return Section(f"Stage {result.name}", _present(items), text, _present(details), _DETAILS)
 

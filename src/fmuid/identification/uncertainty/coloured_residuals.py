@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,12 +45,16 @@ class Whiteness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """Residuals (N,) of one channel over its case's samples, their Jacobian (N, n); `there` (N,) is 1 or 0."""
+    """Residuals (N,) of one channel over its case's samples, their Jacobian (N, n); `there` (N,) is 1 or 0.
+
+    Residuals that grow with the signal are divided by their `level` (N,), by which the Jacobian is multiplied.
+    """
 
     signal: str
     residuals: FloatArray
     jacobian: FloatArray
     there: FloatArray
+    level: FloatArray
 
     @property
     def count(self) -> float:
@@ -88,8 +92,8 @@ def score_covariance(problem: Problem, best: Evaluation, j: FloatArray) -> Score
             features += jr.T @ (jr * r[:, None] ** 2)
             continue
         length = len(case.task.time)
-        record = Record(criterion.signal, np.zeros(length), np.zeros((length, n)), np.zeros(length))
-        level = levels.scale[k]
+        record = Record(criterion.signal, *(np.zeros(of) for of in (length, (length, n), length)), np.ones(length))
+        level = record.level[criterion.rows] = levels.scale[k]
         record.residuals[criterion.rows], record.jacobian[criterion.rows] = r / level, jr * level[:, None]
         record.there[criterion.rows] = 1.0
         by_case.setdefault(case.id, []).append(record)
@@ -198,7 +202,7 @@ def _prewhitened(record: Record, colour: float) -> Record:
     r[0] *= first
     j = first_order(record.jacobian[::-1], colour)[::-1].copy()
     j[0] /= first
-    return Record(record.signal, r, j, record.there)
+    return replace(record, residuals=r, jacobian=j)
 
 
 def _correlations(r: FloatArray) -> FloatArray:
@@ -243,14 +247,17 @@ def _quadratic(a: Record, b: Record, lag: int) -> FloatArray:
 def _whiteness(case: str, record: Record, white: Record, colour: float, lag: int) -> Whiteness:
     from scipy.special import chdtrc
 
-    r, count = record.residuals, int(record.count)
+    r, count, square = record.residuals * record.level, int(record.count), record.level**2 * record.there
     rho = _correlations(r)
     lags = min(20, max(count // 5, 1), len(rho) - 1)
-    terms = rho[1 : lags + 1] ** 2 / (count - np.arange(1, lags + 1))
+    # Where noise grows with the signal, products of residuals scatter by those of their levels.
+    pairs = np.maximum(_cross(record.there, record.there)[1 : lags + 1], 1.0)
+    scatter = _cross(square, square)[1 : lags + 1] / pairs / np.mean(square[record.there > 0.0]) ** 2
+    terms = rho[1 : lags + 1] ** 2 / scatter / (count - np.arange(1, lags + 1))
     ljung_box = count * (count + 2) * float(np.sum(terms))
     # Ratio of long-run variance to variance: the information in a sample.
     rest = 1.0 + 2.0 * float(np.sum((_taper(len(r), lag) * _correlations(white.residuals))[1:]))
-    energy = float(np.sum(white.residuals**2)) / max(float(np.sum(r**2)), np.finfo(float).tiny)
+    energy = float(np.sum(white.residuals**2)) / max(float(np.sum(record.residuals**2)), np.finfo(float).tiny)
     inflation = max(energy * rest / (1.0 - colour) ** 2, 1.0)
     return Whiteness(
         case,

@@ -43,7 +43,7 @@ class NewRuns:
 
     def __str__(self) -> str:
         """Return it as a sentence."""
-        unit = f" {self.unit}" if self.unit else ""
+        unit = f" {self.unit}" if self.unit and self.unit != "1" else ""
         return (
             f"new runs, 95 %: {self.signal} within ±{self.half_width:.3g}{unit} of its prediction "
             f"({self.runs} runs, each predicted from the others)"
