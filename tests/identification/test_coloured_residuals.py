@@ -24,6 +24,6 @@ def test_standard_errors_do_not_depend_on_the_sampling_rate(n):
         white = np.sqrt(1.0 - rho**2) * generator.standard_normal(10 * n)
         noise = lfilter([1.0], [1.0, -rho], white)[-n:]
         residuals = noise - jacobian @ (inverse @ jacobian.T @ noise)
-        meat, _ = coloured_covariance({"run": [Record("y", residuals, jacobian, np.ones(n), np.ones(n))]}, 3)
+        meat, _ = coloured_covariance({"run": [Record("y", residuals, jacobian, np.ones(n))]}, 3)
         found.append(np.diag(inverse @ meat @ inverse))
     assert np.sqrt(np.mean(found, axis=0)) / true == pytest.approx(1.0, abs=0.25)

@@ -135,8 +135,8 @@ def test_white_noise_that_grows_with_the_signal_is_white(analytic):
         stage = identify(runs(analytic, "signal", seed)).stages[0]
         assert "not white" not in stage.summary
         chances += [w.p_value for w in stage.uncertainty.whiteness]
-    assert np.mean(np.array(chances) < 0.01) < 0.04
-    assert 0.02 < np.mean(np.array(chances) < 0.05) < 0.1
+    assert np.mean(np.array(chances) < 0.01) < 0.02
+    assert 0.02 < np.mean(np.array(chances) < 0.05) < 0.08
 
 
 def test_new_runs_are_expected_as_far_off_as_those_that_were_left_out(analytic):

@@ -139,6 +139,7 @@ def whiteness_table(result: StageResult) -> Table | None:
         rows,
         f"whiteness-{slug(result.name)}",
         "Are the residuals noise?",
-        "Ljung and Box's test on 20 lags; standard errors allow for residuals that are not white.",
+        "Portmanteau test on 20 lags, valid for noise of varying size; standard errors allow for residuals that "
+        "are not white.",
         (5, 5, 3, 3, 2, 6, 3),
     )

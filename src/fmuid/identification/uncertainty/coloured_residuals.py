@@ -29,7 +29,8 @@ class Whiteness:
     lag_one
         Autocorrelation from sample to sample.
     p_value
-        p-value of Ljung and Box's test on 20 lags; a small value means that the residuals are not white.
+        p-value of a portmanteau test on 20 lags that is valid for noise of varying size (Lobato, Nankervis and
+        Savin, 2001); a small value means that the residuals are not white.
     samples, effective
         Number of samples, and number of independent samples with the same information.
     """
@@ -54,7 +55,7 @@ class Record:
     residuals: FloatArray
     jacobian: FloatArray
     there: FloatArray
-    level: FloatArray
+    level: FloatArray | float = 1.0
 
     @property
     def count(self) -> float:
@@ -92,10 +93,15 @@ def score_covariance(problem: Problem, best: Evaluation, j: FloatArray) -> Score
             features += jr.T @ (jr * r[:, None] ** 2)
             continue
         length = len(case.task.time)
-        record = Record(criterion.signal, *(np.zeros(of) for of in (length, (length, n), length)), np.ones(length))
-        level = record.level[criterion.rows] = levels.scale[k]
-        record.residuals[criterion.rows], record.jacobian[criterion.rows] = r / level, jr * level[:, None]
-        record.there[criterion.rows] = 1.0
+        residuals, jacobian, there, level = (
+            np.zeros(length),
+            np.zeros((length, n)),
+            np.zeros(length),
+            np.ones(length),
+        )
+        level[criterion.rows], there[criterion.rows] = levels.scale[k], 1.0
+        residuals[criterion.rows], jacobian[criterion.rows] = r, jr
+        record = Record(criterion.signal, residuals / level, jacobian * level[:, None], there, level)
         by_case.setdefault(case.id, []).append(record)
     prior = j[len(j) - len(problem.space.priors) :]  # of unit variance by definition
     meat, whiteness = coloured_covariance(by_case, n)
@@ -247,14 +253,12 @@ def _quadratic(a: Record, b: Record, lag: int) -> FloatArray:
 def _whiteness(case: str, record: Record, white: Record, colour: float, lag: int) -> Whiteness:
     from scipy.special import chdtrc
 
-    r, count, square = record.residuals * record.level, int(record.count), record.level**2 * record.there
+    r, count = record.residuals * record.level, int(record.count)
     rho = _correlations(r)
     lags = min(20, max(count // 5, 1), len(rho) - 1)
-    # Where noise grows with the signal, products of residuals scatter by those of their levels.
-    pairs = np.maximum(_cross(record.there, record.there)[1 : lags + 1], 1.0)
-    scatter = _cross(square, square)[1 : lags + 1] / pairs / np.mean(square[record.there > 0.0]) ** 2
-    terms = rho[1 : lags + 1] ** 2 / scatter / (count - np.arange(1, lags + 1))
-    ljung_box = count * (count + 2) * float(np.sum(terms))
+    products, squares = _cross(r, r)[1 : lags + 1], _cross(r**2, r**2)
+    scatter = np.maximum(squares[1 : lags + 1], 1e-12 * squares[0] + np.finfo(float).tiny)
+    portmanteau = float(np.sum(products**2 / scatter))
     # Ratio of long-run variance to variance: the information in a sample.
     rest = 1.0 + 2.0 * float(np.sum((_taper(len(r), lag) * _correlations(white.residuals))[1:]))
     energy = float(np.sum(white.residuals**2)) / max(float(np.sum(record.residuals**2)), np.finfo(float).tiny)
@@ -264,7 +268,7 @@ def _whiteness(case: str, record: Record, white: Record, colour: float, lag: int
         record.signal,
         float(np.sum(r**2) / max(count, 1)),
         float(rho[1]) if len(rho) > 1 else 0.0,
-        float(chdtrc(lags, ljung_box)) if lags > 0 else 1.0,
+        float(chdtrc(lags, portmanteau)) if lags > 0 else 1.0,
         count,
         count / inflation,
     )
