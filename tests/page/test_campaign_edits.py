@@ -25,6 +25,11 @@ interpolation = "hold"
 start = 1.0 # kg
 lower = 0.5
 
+[parameters."arm.g"]
+start = 9.81
+free = false # a constant of nature
+known = true
+
 # Fixed at the FMU's start value; uncomment to identify it as well.
 
 # Fixed: redundant with the free parameters.
@@ -73,7 +78,7 @@ def test_undo_and_redo_go_through_all_edits(file: CampaignFile) -> None:
 
 
 def test_a_fixed_parameter_is_freed_by_uncommenting_its_table(file: CampaignFile) -> None:
-    assert file.reasons() == {"arm.c": "redundant with the free parameters"}
+    assert file.reasons() == {"arm.c": "redundant with the free parameters", "arm.g": "a constant of nature"}
     file.free("arm.c", "")
     assert file.tables["parameters"]["arm.c"] == {"start": 100.0, "lower": 10.0}
     assert "# stiffness" in file.text

@@ -58,8 +58,15 @@ def test_a_search_is_steered_and_its_result_moved(
     steered = json.loads((tank / "runs" / "campaign-2" / "result.json").read_text())["parameters"]
     assert steered["G"] <= 7.0
 
+    # A phone: all of it fits; what is wider scrolls in itself.
+    page.get_by_text("Parallel coordinates of").first.click()
+    page.set_viewport_size({"width": 400, "height": 800})
+    page.get_by_role("img", name="Parallel coordinates: all").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    page.set_viewport_size({"width": 1400, "height": 900})
+
     # Look: the sentence has the parameters, and a slider simulates.
-    page.get_by_role("button", name="Stop and look").click()
+    page.get_by_role("button", name="Look at the result").click()
     look = page.get_by_role("tabpanel", name="Look")
     look.get_by_text(re.compile("G = ")).wait_for()
     said = look.get_by_text(re.compile("RMS of the residual"))

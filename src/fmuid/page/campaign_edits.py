@@ -16,7 +16,9 @@ from fmuid.core.errors import CampaignError
 from fmuid.core.files import write_atomically
 from fmuid.core.toml_tables import toml_text
 
-_REASON = re.compile(r"^# Fixed: (.*)\.$")
+_REASON = re.compile(r"^# Fixed: (.*)\.$")  # above tables that are commented out
+_REASON_OF_KNOWN = re.compile(r"^free = false # (.*)$")
+_TABLE = re.compile(r'^(?:# )?\[parameters\."?([^"\]]+)"?\]')
 
 
 class CampaignFile:
@@ -127,14 +129,17 @@ class CampaignFile:
         self.replace("\n".join(lines))
 
     def reasons(self) -> dict[str, str]:
-        """Return why `fmuid init` fixed a parameter, from the comments above the tables that it commented out."""
+        """Return why `fmuid init` fixed a parameter, from the comments that it wrote."""
         reasons: dict[str, str] = {}
-        reason = ""
+        reason = name = ""
         for line in self.text.split("\n"):
             if match := _REASON.match(line):
                 reason = match[1]
-            elif match := re.match(r'^# \[parameters\."?([^"\]]+)"?\]', line):
-                reasons[match[1]] = reason
+            elif match := _TABLE.match(line):
+                name = match[1]
+                reasons |= {name: reason} if line.startswith("#") else {}
+            elif match := _REASON_OF_KNOWN.match(line):
+                reasons[name] = match[1]
         return reasons
 
     def undo(self) -> bool:

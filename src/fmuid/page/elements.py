@@ -221,7 +221,7 @@ class Choice(Input):
                 text("option", words, value=key)
 
 
-def button(words: str, pressed: Callable[[], object], classes: str = "", **attributes: str | bool) -> Element:
+def button(words: str, pressed: Callable[[], object], classes: str = "", **attributes: str | bool) -> TextElement:
     """Return a button."""
     made = text(
         "button", words, classes, type="button", **{k: v for k, v in attributes.items() if isinstance(v, str)}
@@ -251,7 +251,8 @@ def drawn(figure: Figure) -> dict[str, Any]:
         if isinstance(trace.get("x"), int):
             trace["x"] = spec["shared"][trace["x"]]
     layout = spec["layout"] | {"uirevision": "kept"}  # keeps the zoom when values change
-    return {"data": spec["data"], "layout": layout, "config": {"responsive": True, "displayModeBar": False}}
+    config = {"responsive": True, "displayModeBar": False}
+    return {"data": spec["data"], "layout": layout, "config": config, "narrow": spec["narrow"]}
 
 
 class Plot:
@@ -260,7 +261,8 @@ class Plot:
     def __init__(self, figure: Figure) -> None:
         spec = drawn(figure)
         with element("figure", role="img", aria_label=figure.title):
-            self._plot = ui.plotly(spec).classes("plot").style(f"height: {spec['layout']['height']}px")
+            height, least = spec["layout"]["height"], spec["narrow"].get("width") or 0
+            self._plot = ui.plotly(spec).classes("plot").style(f"height: {height}px; min-width: {least}px")
 
     def show(self, figure: Figure) -> None:
         """Show another figure in its place."""

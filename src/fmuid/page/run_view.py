@@ -74,7 +74,7 @@ class RunView:
             self._start = button("Start", self._started, "main")
             self._pause = button("Pause", self._paused)
             self._resume = button("Resume", self._resumed)
-            self._stop = button("Stop and look", self._stopped)
+            self._stop = button("Look at the result", self._stopped)
             self._best = button("Continue from the best point", self._steered)
             with captioned("Show run"):
                 Choice("Run to follow", {r.id: r.id for r in workspace.runs}, self._run, self._choose)
@@ -220,6 +220,7 @@ class RunView:
             words = f"{state}: stage {stage.name}, {costs.size} evaluations{cost}"
         set_text(self._status, words)
         set_text(self._where, f"Run folder: {self._folder}")
+        set_text(self._stop, "Stop and look" if running else "Look at the result")
         set_text(self._complaint, self._process.complaint if self._process is not None else "")
         self._complaint.set_visibility(bool(self._process is not None and self._process.complaint))
         interrupted = bool(self._followed.run.stages) and not complete and not running

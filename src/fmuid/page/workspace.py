@@ -295,7 +295,7 @@ class Workspace:
                 continue
             variable = every.get(name)
             state = "known" if table.get("known") else "free" if table.get("free", True) else "fixed"
-            reason = ""
+            reason = reasons.get(name, "")
             if name in effects:
                 effect = effects[name]
                 moved = effect.criterion.removesuffix(" least_squares")

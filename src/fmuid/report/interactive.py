@@ -209,6 +209,8 @@ def _series(panel: Panel, series: Series) -> Spec:
 def _axis(axis: Axis, label: str = "") -> Spec:
     label = label or axis.label
     return {
+        # Of ticks between decades, plotly writes the first digit, and small.
+        **({"nticks": 4, "tickformat": "~g"} if axis.log else {}),
         "title": {
             "text": html.escape(label, quote=False).replace("\n", "<br>"),
             "standoff": 6,
@@ -467,10 +469,13 @@ def _parallel(figure: ParallelFigure) -> tuple[list[Spec], Spec]:
         }
     )
     crowded = len(dimensions) > 5
-    trace: Spec = {"type": "parcoords", "line": line, "dimensions": dimensions, "labelfont": {"size": 12}}
+    trace: Spec = {"type": "parcoords", "line": line, "dimensions": dimensions}
+    trace |= {font: {"size": 12} for font in ("labelfont", "tickfont", "rangefont")}
     trace["labelangle"] = -30 if crowded else 0
     top = 150 if crowded else 70
-    return [trace], {"height": 330 + top, "margin": {"l": 70, "r": 110 if crowded else 70, "t": top, "b": 30}}
+    margin = {"l": 70, "r": 110 if crowded else 70, "t": top, "b": 30}
+    narrow = {"width": 180 + 52 * len(dimensions)}  # scrolls sideways, and no tick covers the next axis
+    return [trace], {"height": 330 + top, "margin": margin, "narrow": narrow}
 
 
 def _dimension(scale: Scale, values: FloatArray) -> Spec:
@@ -488,7 +493,7 @@ def _dimension(scale: Scale, values: FloatArray) -> Spec:
         "range": [low, high],
         "values": packed(np.log10(values)),
         "tickvals": ticks.tolist(),
-        "ticktext": [f"{10**t:.3g}" for t in ticks],
+        "ticktext": [f"{float(f'{10**t:.3g}'):g}" for t in ticks],
     }
 
 
