@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
+
+from docs.pictures.screenshots import program
 
 # Picture, tab, width, height, dark.
 PICTURES = (
@@ -42,9 +43,8 @@ def take(folder: Path, campaign: str, figures: Path) -> None:
     """Take the pictures of a campaign that was identified and diagnosed in `folder`."""
     from playwright.sync_api import sync_playwright
 
-    program = next((p for n in ("chromium", "google-chrome", "chrome") if (p := shutil.which(n))), None)
     with served(folder, campaign) as address, sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        chromium = driver.chromium.launch(executable_path=program(), args=["--no-sandbox", "--disable-gpu"])
         for name, tab, width, height, dark in PICTURES:
             page = chromium.new_page(
                 viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light"

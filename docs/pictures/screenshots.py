@@ -45,6 +45,11 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self.call("Page.enable")
 
+    def close(self) -> None:
+        """Close the pipes."""
+        self._in.close()
+        self._out.close()
+
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command of the protocol and return its result."""
         self._number += 1
@@ -110,20 +115,26 @@ class Browser:
         return base64.b64decode(self.call("Page.printToPDF", preferCSSPageSize=True)["data"])
 
 
+def program() -> str | None:
+    """Return the path of Chromium, if it is installed."""
+    return next((path for name in _BROWSERS if (path := shutil.which(name))), None)
+
+
 @contextmanager
 def browser() -> Iterator[Browser]:
     """Start Chromium, and end it with its profile."""
-    program = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
-    if program is None:
+    if (chromium := program()) is None:
         raise SystemExit(f"no browser found: one of {', '.join(_BROWSERS)} takes the pictures")
     ours, its = os.pipe(), os.pipe()  # Chromium reads commands from 3 and answers on 4
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+    # In a short path, because a socket goes there.
+    with tempfile.TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True) as profile:
+        environment = os.environ | {"TMPDIR": profile}
         command = [
-            "/bin/sh",
+            "bash",  # other shells redirect files up to number 9 only
             "-c",
             f'exec "$@" 3<&{ours[0]} 4>&{its[1]}',
-            "sh",
-            program,
+            "bash",
+            chromium,
             "--headless",
             "--no-sandbox",
             "--disable-gpu",
@@ -131,11 +142,15 @@ def browser() -> Iterator[Browser]:
             "--remote-debugging-pipe",
             f"--user-data-dir={profile}",
         ]
-        process = subprocess.Popen(command, pass_fds=(ours[0], its[1]), stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(command, pass_fds=(ours[0], its[1]), stderr=subprocess.DEVNULL, env=environment)
         os.close(ours[0])
         os.close(its[1])
         try:
-            yield Browser(its[0], ours[1])
+            window = Browser(its[0], ours[1])
+            try:
+                yield window
+            finally:
+                window.close()
         finally:
             process.terminate()
             process.wait()

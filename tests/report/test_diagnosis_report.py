@@ -3,6 +3,7 @@ import json
 
 import pytest
 import report_samples as samples
+from printed_pages import filled
 from report_page import Page
 
 from fmuid.diagnosis.corrected import read_diagnosis
@@ -42,6 +43,12 @@ def test_a_reader_sees_where_what_and_how_much(tmp_path):
         assert words in " ".join(page.text.split()), words
     names = {p.stem for p in (tmp_path / "figures").iterdir()}
     assert names == {"excess-energy", "effects", "missing", "gap", "before-after"}
+
+
+def test_no_page_on_paper_is_half_empty(tmp_path):
+    arguments = {"campaign": "Actuator", "pictures": samples.pictures(), "provenance": {"seed": "7"}}
+    *pages, _ = filled(write_diagnosis_report(samples.diagnosis(), tmp_path, **arguments))
+    assert min(pages) > 0.55, pages
 
 
 def test_what_is_not_known_is_left_out(tmp_path):

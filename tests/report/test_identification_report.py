@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from printed_pages import filled
 from report_page import Page
 
 from fmuid.core.campaign import (
@@ -95,6 +96,11 @@ def test_report_has_what_the_paper_shows(written):
     names = {p.stem for p in (written.parent / "figures").iterdir()}
     assert {"before-after", "history-both", "validation-bench-y", "nrmse-validation"} <= names
     assert {"cost", "parallel-both", "parallel-criteria-both", "correlation-both", "deviations"} <= names
+
+
+def test_no_page_on_paper_is_half_empty(written):
+    *pages, _ = filled(written)
+    assert min(pages) > 0.55, pages
 
 
 def test_history_starts_at_the_start_and_ends_at_the_best(written):

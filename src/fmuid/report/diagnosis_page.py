@@ -54,6 +54,7 @@ def write_diagnosis_report(
     FmuidError
         The folder cannot be written.
     """
+    places = _present(model, pictures_of.where_table(diagnosis))
     sections = (
         Section(
             "Before and after",
@@ -64,7 +65,7 @@ def write_diagnosis_report(
             ),
             abreast=bool(pictures.overlays),
         ),
-        Section("Where", _present(model, _excess(pictures), pictures_of.where_table(diagnosis))),
+        Section("Where", (*places, *_present(_excess(pictures))), abreast=len(places) == 2),
         Section(
             "What",
             _present(

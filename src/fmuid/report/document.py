@@ -17,7 +17,7 @@ from fmuid.core.formatting import Fact
 from fmuid.report.interactive import specification
 from fmuid.report.plotly_js import plotly_js
 from fmuid.report.plots import Format, save_data, save_figures
-from fmuid.report.plots.figure_data import Cell, Figure, ParallelFigure, Table, slug, tables
+from fmuid.report.plots.figure_data import Cell, Figure, MapFigure, ParallelFigure, Table, slug, tables
 
 _MOST_ROWS = 500  # rows of a table shown on the page
 _PLACEHOLDER = "@plotly.js@"
@@ -40,7 +40,7 @@ Item = Figure | Table | Drawing
 class Section:
     """A heading, a paragraph, and the figures and tables under it; `details` are folded on the screen.
 
-    In a section that is `abreast`, a wide screen shows the first item on the left, and the others on the right.
+    In a section that is `abreast`, a wide screen shows the first two items side by side.
     """
 
     title: str
@@ -114,6 +114,7 @@ def rendered(document: Document) -> str:
     environment.tests["table"] = lambda item: isinstance(item, Table)
     environment.tests["drawing"] = lambda item: isinstance(item, Drawing)
     environment.tests["webgl"] = lambda item: isinstance(item, ParallelFigure)
+    environment.tests["picture_on_paper"] = lambda item: isinstance(item, MapFigure | ParallelFigure)
     environment.filters["json"] = _json
     page = environment.get_template("report.html.jinja").render(
         document=document,

@@ -272,7 +272,9 @@ def _colours(figure: MapFigure) -> Colormap:
 
 def _map(figure: MapFigure) -> Canvas:
     n_rows, n_columns = figure.values.shape
-    canvas = _canvas(_WIDTH, 1.5 + 0.24 * n_rows)
+    letters = 0.6 * _WIDTH / n_columns / 0.055  # that a column has room for
+    fits = all(len(line) <= n * letters for name, n in figure.headings for line in name.split("\n"))
+    canvas = _canvas(_WIDTH, 1.5 + 0.24 * n_rows + (0.0 if fits else 0.7))
     axes = canvas.subplots()
     axes.grid(visible=False)
     axes.set_facecolor("white")
@@ -292,11 +294,10 @@ def _map(figure: MapFigure) -> Canvas:
     axes.tick_params(length=0)
     if figure.values.size <= _MAX_CELLS_WITH_NUMBERS:
         _numbers(axes, figure, colours)
-    start, column = 0, 0.6 * _WIDTH / n_columns
-    for name, width in figure.headings:
-        fits = width * column / 0.055  # characters of the usual size
-        size = 7 * min(1.0, fits / max(len(line) for line in name.split("\n")))
-        axes.text(start + width / 2 - 0.5, -0.65, name, ha="center", va="bottom", fontsize=size)
+    start = 0
+    for name, width in figure.headings if fits else figure.groups:
+        place = {"ha": "center"} if fits else {"ha": "left", "rotation": 30, "rotation_mode": "anchor"}
+        axes.text(start + width / 2 - 0.5, -0.65, name, va="bottom", fontsize=7, **place)
         start += width
         if start < n_columns:
             axes.axvline(start - 0.5, color="white", linewidth=3)
