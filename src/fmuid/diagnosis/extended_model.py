@@ -394,14 +394,14 @@ class CampaignModel:
 def _of_variables(case: Case, effects: Effects) -> dict[str, float]:
     """Return the effects on signals of a case as parameters of its model: ``variable.property``."""
     variables = {c.signal: c.variable for c in case.channels} | {name: name for name in case.task.inputs}
-    found = {}
+    parameters = {}
     for signal, properties in effects.items():
         for name, value in properties.items():
             other = name.removeprefix("crosstalk[").removesuffix("]")
             if signal in variables and (other == name or other in variables):
                 prop = name if other == name else f"crosstalk[{variables[other]}]"
-                found[f"{variables[signal]}.{prop}"] = value
-    return found
+                parameters[f"{variables[signal]}.{prop}"] = value
+    return parameters
 
 
 def _begun(want: _Wanted, simulator: Simulator, origin: Simulator, values: Mapping[str, float]) -> Simulator:

@@ -87,7 +87,7 @@ def new_runs(problem: Problem, x: FloatArray, residuals: FloatArray, j: FloatArr
             of = (case.setup, channel.signal)
             squares.setdefault(of, []).append(channel.to_shown.factor**2 * float(np.nanmean(error**2)))
             units[of] = channel.shown_unit or None
-    found = []
+    new_runs = []
     for of, each in squares.items():
         count, mean = len(each), float(np.mean(each))
         if count < _FEWEST or not mean > 0.0:
@@ -95,8 +95,8 @@ def new_runs(problem: Problem, x: FloatArray, residuals: FloatArray, j: FloatArr
         scatter = float(np.var(each, ddof=1)) * (1.0 + 1.0 / count)
         degrees = 1e9 if scatter == 0.0 else max(2.0 * mean**2 / scatter, 1.0)
         rmse = float(np.sqrt(mean))
-        found.append(NewRuns(*of, units[of], rmse, rmse * float(stdtrit(degrees, 0.975)), count))
-    return tuple(found)
+        new_runs.append(NewRuns(*of, units[of], rmse, rmse * float(stdtrit(degrees, 0.975)), count))
+    return tuple(new_runs)
 
 
 def _rows(problem: Problem, case: str) -> NDArray[np.intp]:
