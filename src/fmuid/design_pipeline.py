@@ -122,6 +122,12 @@ def design_experiment(
         The campaign's limits do not fit its model.
     FmuidError
         No excitation stays within every limit.
+
+    Examples
+    --------
+    >>> designed = fmuid.design_experiment("tank", "parameters", evaluations=5)
+    >>> list(designed.inputs), designed.units["P"]
+    (['P'], 'W')
     """
     from fmuid.simulation.coupled.loading import load_simulator
 

@@ -235,6 +235,11 @@ def diagnose(
         `out` contains an interrupted diagnosis and `resume` is False, or a complete one and `resume` is True.
     SimulationError
         The nominal model cannot be simulated at its start values, or no plant for the calibration can.
+
+    Examples
+    --------
+    >>> fmuid.diagnose("tank").diagnosis.verdict.kind
+    'complete'
     """
     if rehearse < 0:
         raise ValueError(f"rehearse must not be negative, but is {rehearse}")

@@ -90,6 +90,12 @@ def global_sensitivity(
         The campaign has neither runs nor `inputs`, they do not fit the model, or a parameter has no range.
     SimulationError
         The start values, or too many draws, cannot be simulated.
+
+    Examples
+    --------
+    >>> matters = fmuid.global_sensitivity("tank", samples=64)
+    >>> matters.names
+    ('G', 'C')
     """
     from fmuid.simulation.coupled.loading import load_simulator
 

@@ -28,22 +28,24 @@ end Tank;
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A tank with C = 5000 J/K and G = 8 W/K, and its model."""
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tank with C = 5000 J/K and G = 8 W/K, its model, and its campaign ``tank``."""
+    folder = tmp_path_factory.mktemp("examples")
     rng, level, rows = np.random.default_rng(3), 0.0, ["time [s],P [W],T [K]"]
     for t in np.arange(0.0, 4000.0, 4.0):
         power = 900.0 * (t % 1600 > 400) + 300.0 * (t % 700 > 500)
         rows.append(f"{t:g},{power:g},{level + 0.05 * rng.standard_normal():.4f}")
         level = power / 8.0 + (level - power / 8.0) * np.exp(-4.0 * 8.0 / 5000.0)
-    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
-    (tmp_path / "Tank.mo").write_text(MODEL)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+    (folder / "log.csv").write_text("\n".join(rows) + "\n")
+    (folder / "Tank.mo").write_text(MODEL)
+    fmuid.start(folder / "log.csv", model=folder / "Tank.mo", out=folder / "tank", say=lambda _: None)
+    return folder
 
 
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda f: f.stem)
-def test_the_examples_of_a_module_run(file: Path, folder: Path) -> None:
+def test_the_examples_of_a_module_run(file: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
     name = ".".join(file.relative_to(SOURCES.parent).with_suffix("").parts)
     failed, tried = doctest.testmod(importlib.import_module(name), extraglobs={"fmuid": fmuid})
     assert tried > 0

@@ -228,6 +228,12 @@ def load_campaign(
         table.
     MeasurementsError
         The measurement file is missing or violates its format.
+
+    Examples
+    --------
+    >>> campaign = fmuid.load_campaign("tank")
+    >>> sorted(campaign.parameters)
+    ['C', 'G']
     """
     file = _file_of(Path(path))
     document = convert(read_toml(file), _Document, str(file))

@@ -38,6 +38,12 @@ def read_measurements(path: str | Path, *, fix_missing: str | None = None) -> Me
     MeasurementsError
         The file is missing or damaged, or violates the format; the message names file, experiment, signal and
         sample.
+
+    Examples
+    --------
+    >>> measurements = fmuid.read_measurements("tank/measurements.h5")
+    >>> measurements["log"].signals["T"].unit
+    'K'
     """
     path = Path(path)
     if fix_missing is not None and not path.exists():

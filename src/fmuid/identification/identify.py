@@ -136,6 +136,15 @@ def identify(
     FmuidError
         The campaign, a model or a stage cannot be used as given; another process is writing to `out`; or `out`
         contains an interrupted run and `resume` is False.
+
+    Examples
+    --------
+    >>> result = fmuid.identify("tank")  # a folder with campaign.toml
+    >>> round(result.parameters["G"], 1)
+    8.0
+    >>> low, high = result.stages[0]["G"].interval
+    >>> low < 8.0 < high
+    True
     """
     begin = clock.perf_counter()
     campaign = _campaign(what, trust) if not isinstance(what, Problem) else None

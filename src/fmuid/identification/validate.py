@@ -69,7 +69,12 @@ class RunScore:
 class Validation(Plottable):
     """The `scores` of every run and signal; prints as a table.
 
-    `cases` and `predictions`, (signals, N) each, are for figures.
+    Parameters
+    ----------
+    scores
+        One for each run and signal.
+    cases, predictions
+        What was compared, and (signals, N) predictions, for figures.
     """
 
     scores: tuple[RunScore, ...]
@@ -166,6 +171,12 @@ def validate(
     ------
     CampaignError
         There are no runs for validation.
+
+    Examples
+    --------
+    >>> scores = fmuid.validate({"C": 5000.0, "G": 8.0}, "tank", experiments=["log"])
+    >>> round(scores["log", "T"].rmse, 2)  # in the unit of the log
+    0.05
     """
     if campaign is None:
         if not isinstance(result, Result) or not result.source:

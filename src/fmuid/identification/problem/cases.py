@@ -293,6 +293,11 @@ def measured_case(
         Criteria; by default least squares on every measured variable.
     parameters
         Parameter name -> model variable; a parameter not named here is set under its own name.
+
+    Raises
+    ------
+    ProblemError
+        An output has no measurement, or a measurement does not fit the task.
     """
     channels = []
     for name in task.outputs:

@@ -43,7 +43,17 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class StopRules:
-    """Limits of a search: number of evaluations, seconds of evaluation, or a sufficient cost."""
+    """Limits of a search; None means no limit.
+
+    Parameters
+    ----------
+    evaluations
+        Number of evaluations.
+    seconds
+        Time that evaluations take in all.
+    cost
+        A sufficient cost.
+    """
 
     evaluations: int | None = None
     seconds: float | None = None

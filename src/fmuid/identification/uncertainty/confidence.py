@@ -53,18 +53,44 @@ _FOLLOWING = 4  # evaluations for refitting the others to a moved parameter
 class Uncertainty:
     """Covariance of the free parameters `names` at `point`, and its basis.
 
-    `covariance` (n, n) and `correlation` are in search space, `standard_errors` (n,) and `intervals` (95 %) in
-    model space; the latter are None if the experiments do not determine the parameter. All of them include the
-    `inherited` part, (n, n), from errors of parameters that earlier stages identified and this stage fixes: `held`
-    are their names, `held_slopes` (n, h) the derivatives of the estimate with respect to them in model space.
-    `degrees_of_freedom` belong to the stage's own noise, `degrees` (n,) to the standard errors; None means
-    infinite. `robust` are the parameters whose errors come from the scatter between runs (`clusters`), which
-    exceeds that of coloured noise. `few_runs` are those that a single run determines, or up to three, so that
-    nothing shows how much they differ from run to run, with that number. `biased` are those that noise
-    of recorded inputs moves by more than half a standard error, which intervals include. `naive_errors` (n,) would
-    hold for white noise. `whiteness` tests the residuals, `identifiability` the directions that the experiments
-    determine, and `noise_floor` is the simulator's. `notes` state conditions of the standard errors, or why there
-    are none; `constraints` are the active ones. `new_runs` are the errors of predictions of new runs.
+    Parameters
+    ----------
+    names, point
+        The n free parameters and their values.
+    covariance, correlation
+        (n, n), in search space.
+    standard_errors, intervals
+        (n,), in model space, with the errors in `inherited`; the intervals have 95 %. None if the experiments do
+        not determine the parameter.
+    degrees_of_freedom, degrees
+        Degrees of freedom of the stage's own noise, and (n,) of the standard errors; None means infinite.
+    identifiability
+        The directions that the experiments determine.
+    whiteness
+        Tests of the residuals.
+    naive_errors
+        (n,) standard errors that would hold for white noise.
+    noise_floor
+        That of the simulator.
+    held, held_slopes
+        Parameters that earlier stages identified and this stage fixes, and the (n, h) derivatives of the estimate
+        with respect to them in model space.
+    inherited
+        (n, n), the part of `covariance` that comes from their errors.
+    notes
+        Conditions of the standard errors, or why there are none.
+    robust
+        Parameters whose errors come from the scatter between runs (clusters), which exceeds that of coloured
+        noise.
+    few_runs
+        Parameters that a single run determines, or up to three, with that number: nothing shows how much they
+        differ from run to run.
+    biased
+        Parameters that noise of recorded inputs moves by more than half a standard error, which intervals include.
+    constraints
+        The active ones.
+    new_runs
+        Errors of predictions of new runs.
     """
 
     names: tuple[str, ...]
@@ -139,6 +165,10 @@ def uncertainty_of(
     ------
     SimulationError
         The neighbourhood of the estimate cannot be simulated.
+
+    References
+    ----------
+    H. White, Econometrica 48 (1980), 817-838; W. K. Newey and K. D. West, Econometrica 55 (1987), 703-708.
     """
     from scipy.special import stdtrit
 

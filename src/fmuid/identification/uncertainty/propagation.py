@@ -22,9 +22,14 @@ _SEARCHED = 20  # evaluations per parameter of a search for the worst case of a 
 class Propagated:
     """Distribution of predictions and criteria under parameter uncertainty, by Monte Carlo.
 
-    `lower` and `upper` are the (channels, N) bounds for the requested level, one pair per case; `criteria` are the
-    (draws, n_criteria) values divided by their demands, for draws that could be simulated; `failed` is the number
-    of the others.
+    Parameters
+    ----------
+    lower, upper
+        (channels, N) bounds for the requested level, one pair per case.
+    criteria
+        (draws, n_criteria) values divided by their demands, for draws that could be simulated.
+    failed
+        Number of the other draws.
     """
 
     lower: tuple[FloatArray, ...]

@@ -30,6 +30,11 @@ _models: dict[Hashable, CoupledModel] = {}  # always the same object within a pr
 def load_model(model: ModelSpec | str | Path) -> Fmu | CoupledModel:
     """Return the model of a setup or of a file: an FMU, or coupled FMUs (SSP).
 
+    Parameters
+    ----------
+    model
+        A setup of a campaign, or an ``.fmu`` or ``.ssp`` file.
+
     Raises
     ------
     FmuError
