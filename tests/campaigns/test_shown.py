@@ -23,6 +23,7 @@ def test_measurements(measurements: Measurements) -> None:
     assert lines[1].startswith("step_1 ")
     assert "i_cmd [A]" in lines[1]
     assert cells(measurements._repr_html_())[1][:3] == ["step_1", "fixed_shaft", "11"]
+    assert "array(" not in repr(measurements)
 
 
 def test_results() -> None:

@@ -42,7 +42,7 @@ class Signal:
     """
 
     name: str
-    values: FloatArray
+    values: FloatArray = field(repr=False)
     unit: str
     causality: Causality
     sigma: float | None = None
@@ -84,7 +84,7 @@ class Experiment:
 
     id: str
     setup: str
-    time: FloatArray
+    time: FloatArray = field(repr=False)
     signals: Mapping[str, Signal]
     settings: Mapping[str, float] = field(default_factory=dict)
     setting_units: Mapping[str, str] = field(default_factory=dict)

@@ -118,6 +118,8 @@ def start(
     ------
     FmuidError
         A log cannot be read, no column matches the model, or the campaign already exists.
+    fmu_build.errors.ModelicaError
+        The Modelica source has an error, or needs a library that is not in `roots`.
 
     Examples
     --------
