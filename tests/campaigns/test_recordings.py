@@ -206,6 +206,7 @@ def test_a_damaged_result_file_is_one_line(tmp_path: Path) -> None:
         ("Time (ms)\tu [N]\tx [mm]\n0\t1.5\t2\n100\t2.5\t\n", ("cells are separated by tabs", "time converted from ms to s")),
         ('"time";"u [N]";"x [mm]"\r\n0;1.5;2\r\n0.1;2.5;\r\n', ("cells are separated by semicolons",)),
         ("timestamp,u,x\n2026-05-01 12:00:00,1.5,2\n2026-05-01 12:00:00.100,2.5,\n", ("time starts at the first date",)),
+        ("Date,u,x\ns,N,mm\n2026-05-01T12:00:00Z,1.5,2\n2026-05-01T12:00:00.1Z,2.5,\n", ("'Date' contains dates and is taken as time", "units are on line 2", "time starts at the first date")),
         ("datetime;u;x\r\n2026-05-01T12:00:00Z;1,5;2\r\n2026-05-01T14:00:00.1+02:00;2,5;\r\n", ("cells are separated by semicolons", "time starts at the first date", "decimal commas")),
         ("time;u;x\n[ms];[N];[mm]\n0;1,5;2\n1e2;2,5;\n", ("cells are separated by semicolons", "units are on line 2", "decimal commas", "time converted from ms to s")),
     ],

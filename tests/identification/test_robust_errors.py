@@ -252,6 +252,7 @@ def test_estimates_are_conditional_on_what_only_a_later_stage_identifies(analyti
 def test_intervals_from_few_runs_say_that_they_hold_for_these(analytic, count, mark):
     stage = identify(runs(analytic, "white", 1, count=count)).stages[0]
     assert {e.note for e in stage.estimates} - {"robust"} == {mark}
+    assert ("differs from run to run; record at least four" in str(stage)) == bool(mark)
 
 
 def test_a_value_of_a_single_run_is_not_conditional_on_it(analytic):

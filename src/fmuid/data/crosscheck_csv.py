@@ -107,6 +107,10 @@ def read_csv(path: str | Path, layout: TableLayout = _AS_WRITTEN) -> Table:
     text, delimiter, more = _separated(text, layout, path)
     notes += more
     header, skip = _header(text, layout, delimiter, path)
+    dates = any(_is_date(_first_cell(text, line, delimiter)) for line in (skip, skip + 1))  # below a row of units
+    if dates and layout.rate is None and not layout.chosen and not any(map(_is_time, header)):
+        notes.append(f"'{header[0]}' contains dates and is taken as time")
+        header = ["time", *header[1:]]
     names, units = _read_header(header, layout, path)
     if not units and (below := _units_row(text, skip, names, delimiter)):
         units = {n: u for n, u in zip(names, below, strict=True) if u}
@@ -429,11 +433,22 @@ def _units_row(text: str, skip: int, names: list[str], delimiter: str) -> list[s
     return []
 
 
+def _first_cell(text: str, number: int, delimiter: str) -> str:
+    """Return the first cell of a line; empty if there is no such line."""
+    lines = text.split("\n", number + 1)
+    return lines[number].partition(delimiter)[0].strip(' "\r') if len(lines) > number else ""
+
+
+def _is_date(cell: str) -> bool:
+    with suppress(ValueError):
+        return "-" in cell and ":" in cell and datetime.fromisoformat(cell) is not None
+    return False
+
+
 def _dates_as_seconds(text: str, skip: int, delimiter: str) -> tuple[str, bool]:
     """Return the text with ISO 8601 dates as seconds from the first one, and whether its times are dates."""
-    lines = text.split("\n", skip + 1)
-    first = lines[skip].partition(delimiter)[0].strip(' "\r') if len(lines) > skip else ""
-    if "-" not in first or ":" not in first:
+    first = _first_cell(text, skip, delimiter)
+    if not _is_date(first):
         return text, False
     lines = text.split("\n")
     rows = [

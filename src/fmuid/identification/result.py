@@ -40,6 +40,10 @@ FILE = "result.json"
 _WITHIN, _NEAR = 0.1, 1e-3  # standard errors, and share of the range, within which an estimate is at its bound
 _TOUCHING, _ROUNDING = 1e-6, 1e-14  # share of the range, without a standard error and at least
 _MISSED = 0.01  # share of a signal's energy that a sound fit may leave in a coloured residual
+FEW_RUNS = (
+    "one run, few runs: no more than three runs determine the parameter, so its interval does not contain how "
+    "much it differs from run to run; record at least four"
+)
 LEAST_SHOWN = 0.005  # share of a variance from which on a column is shown
 
 
@@ -152,21 +156,18 @@ class StageResult:
 
     def __str__(self) -> str:
         """Return the stage as text: one line on its outcome, a table, and warnings."""
-        further = [*map(str, self.machines), *([] if self.front is None else [str(self.front)])]
-        further += map(str, self.new_runs)
-        return "\n".join(
-            [
-                self.summary,
-                text_table(_cells(self.estimates)),
-                *further,
-                *(f"! {w}" for w in self.warnings),
-            ]
-        )
+        return "\n".join([self.summary, text_table(_cells(self.estimates)), *self._below])
 
     def _repr_html_(self) -> str:
         table = html_table(_cells(self.estimates))
-        further = [*map(str, self.new_runs), *(f"! {w}" for w in self.warnings)]
-        return html_lines([self.summary]) + table + html_lines(further)
+        return html_lines([self.summary]) + table + html_lines(self._below)
+
+    @property
+    def _below(self) -> list[str]:
+        """Lines below the table of estimates."""
+        lines = [FEW_RUNS] if any(" run" in e.note for e in self.estimates) else []
+        lines += [*map(str, self.machines), *([] if self.front is None else [str(self.front)])]
+        return [*lines, *map(str, self.new_runs), *(f"! {w}" for w in self.warnings)]
 
     @property
     def summary(self) -> str:

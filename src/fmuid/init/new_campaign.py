@@ -18,7 +18,7 @@ from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.files import check_folder, path_from, write_atomically
-from fmuid.core.formatting import once_each
+from fmuid.core.formatting import once_each, shortened
 from fmuid.core.toml_tables import SCHEMAS, toml_text
 from fmuid.core.units import conversion
 from fmuid.data.crosscheck_csv import Table
@@ -27,7 +27,7 @@ from fmuid.data.noise.level import conversion_at
 from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.data.table_layout import TableLayout
-from fmuid.init.first_choice import FirstChoice, Restarts, first_choice, restarts, solver_error
+from fmuid.init.first_choice import FROM_ZERO, FirstChoice, Restarts, first_choice, restarts, solver_error
 from fmuid.init.known_values import CERTAIN, ModelText, guessed_bounds, is_temperature
 from fmuid.init.not_looked_for import NotLookedFor, not_looked_for
 from fmuid.init.seen_run import seen_run
@@ -143,10 +143,12 @@ def new_campaign(
     cut, told = restarts(model, used, mapping, runner)
     choice = first_choice(model, used, mapping, progress, runner, text=ModelText(source), cut=cut)
     if not choice.free:
+        zero = ", ".join(v.name for v in choice.held.get(FROM_ZERO, ()))
         raise CampaignError(
-            f"no parameter of {fmu.name} affects a measured output",
+            f"no parameter of {fmu.name} affects a measured output"
+            + (f"; not tried, because they start at 0: {shortened(zero)}" if zero else ""),
             where=next(iter(logs)),
-            fix="check inputs and outputs",
+            fix="check inputs and outputs" + (", or give these parameters plausible start values" if zero else ""),
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
     guesses += told

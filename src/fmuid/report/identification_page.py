@@ -11,7 +11,7 @@ from fmuid.core.campaign import Campaign
 from fmuid.core.formatting import Fact, interval_digits, interval_text
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.history import read_history
-from fmuid.identification.result import LEAST_SHOWN, Estimate, Result
+from fmuid.identification.result import FEW_RUNS, LEAST_SHOWN, Estimate, Result
 from fmuid.identification.validate import RunScore, Validation, validate, within_intervals
 from fmuid.report import figures
 from fmuid.report.document import Document, Section, write_document
@@ -242,9 +242,8 @@ def _estimates_table(
     caption = (
         "Standard errors and intervals cover the noise, the colour of the residuals, and the errors of values "
         "that the stage fixed at estimates of earlier stages (inherited: their share of the variance). Values "
-        "that no stage identified are treated as known. A dash: none; the stage's warnings give the reason. One "
-        "run, few runs: no more than three runs determine the parameter, so the interval holds for them; it does "
-        "not contain how much the parameter differs from run to run."
+        "that no stage identified are treated as known. A dash: none; the stage's warnings give the reason. "
+        f"{FEW_RUNS[:1].upper()}{FEW_RUNS[1:]}."
     )
     digits = tuple(
         dict.fromkeys(("moved, %", "standard error", "deviation, %", "inherited, %"), 2).get(name, 5)

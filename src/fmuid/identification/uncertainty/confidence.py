@@ -256,7 +256,7 @@ def uncertainty_of(
         constraints=active.texts,
         new_runs=new_runs(problem, best.x, here.residuals, j) if whole else (),
         notes=(
-            *_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f], names),
+            *_notes(scatter, active, [n for n, f in zip(names, fixed, strict=True) if f], names, known),
             *_exploding(problem, scaled, whiteness, floor),
             *_biases(problem, slope * recorded.bias, [k for k in biased if known[k]]),
             *([unknown] if unknown else []),
@@ -402,7 +402,9 @@ def _bread(scaled: FloatArray, scale: FloatArray, along: FloatArray, tolerance: 
     return np.asarray(along @ inner @ along.T / np.outer(scale, scale))
 
 
-def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Sequence[str]) -> list[str]:
+def _notes(
+    scatter: _Scatter, active: Active, fixed: Sequence[str], names: Sequence[str], known: Sequence[bool]
+) -> list[str]:
     notes = []
     if scatter.degrees <= 0.0:
         notes.append(
@@ -418,11 +420,12 @@ def _notes(scatter: _Scatter, active: Active, fixed: Sequence[str], names: Seque
             f"{names_shown}: robust standard errors, from the scatter between {cluster.clusters} {cluster.of}, "
             "which is larger than their residuals explain"
         )
-    if scatter.few and any(map(_missed, scatter.whiteness)):
+    few = [names[k] for k in scatter.few if known[k]]
+    if few and any(map(_missed, scatter.whiteness)):
         count = "1 run does" if scatter.runs == 1 else f"{scatter.runs} runs do"
         notes.append(
             f"the residuals are more than white noise, and {count} not show how much estimates differ between "
-            f"runs: intervals may be too narrow: {', '.join(names[k] for k in scatter.few)}"
+            f"runs: intervals may be too narrow: {', '.join(few)}"
         )
     if fixed:
         notes.append(f"no standard error, because the active constraints alone determine: {', '.join(fixed)}")
