@@ -60,6 +60,12 @@ class _Section:
     def sample(self, start: Scalar, interval: Scalar) -> SX:
         return self._scope.sample(start, interval)
 
+    def delay(self, value: Scalar, time: Scalar) -> Scalar:
+        return self._scope.delay(value, time)
+
+    def is_fixed(self, value: SX) -> bool:
+        return self._scope.is_fixed(value)
+
     def initial(self) -> SX:
         return self._scope.initial()
 

@@ -24,6 +24,12 @@ class History(Protocol):
     def sample(self, start: Scalar, interval: Scalar) -> SX:
         """Truth of ``sample(start, interval)``."""
 
+    def delay(self, value: Scalar, time: Scalar) -> Scalar:
+        """Return ``delay(value, time)``."""
+
+    def is_fixed(self, value: SX) -> bool:
+        """Whether an expression depends on parameters alone."""
+
     def initial(self) -> SX:
         """Truth of ``initial()``."""
 
@@ -154,10 +160,22 @@ def _symmetric(e: Operators, a: Value) -> Value:
     return Array((n, m), tuple(a[(min(i, j), max(i, j))] for i in range(n) for j in range(m)))
 
 
+def _delay(e: Operators, value: Value, time: Value, most: Value = None) -> Value:
+    if any(isinstance(item, SX) and not e.scope.is_fixed(item) for item in algebra.scalars(time)):
+        raise ValueError("a delay time that varies is not supported")
+    for number, limit in zip(
+        algebra.scalars(time), algebra.scalars(most) if most is not None else (), strict=False
+    ):
+        if not isinstance(number, SX) and not isinstance(limit, SX) and number > limit:
+            raise ValueError(f"a delay of {number:g} s, with a maximum of {limit:g} s")
+    return algebra.elementwise(e.scope.delay, value, time)
+
+
 BUILTIN: dict[str, Callable[..., Value]] = {
     "der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
     "sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
     "initial": lambda e: e.scope.initial(),
+    "delay": _delay,
     "min": _extreme(algebra.MIN),
     "max": _extreme(algebra.MAX),
     "sum": _total,
@@ -187,7 +205,7 @@ SUPPORTED = frozenset(
     (*BUILTIN, *STEPS, *algebra.FUNCTIONS, "noEvent", "smooth", "homotopy", "size", "pre", "edge", "change")
 )
 UNSUPPORTED = frozenset(
-    ("delay", "spatialDistribution", "inStream", "actualStream", "rooted", "previous",
+    ("spatialDistribution", "inStream", "actualStream", "rooted", "previous",
      "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",
      "loadResource")
 )  # fmt: skip
@@ -196,6 +214,7 @@ NAMED: dict[str, list[str]] = {
     "homotopy": ["actual", "simplified"],
     "smooth": ["p", "expr"],
     "sample": ["start", "interval"],
+    "delay": ["expr", "delayTime", "delayMax"],
     "String": ["value", "significantDigits", "minimumLength", "leftJustified", "format"],
     "semiLinear": ["x", "positiveSlope", "negativeSlope"],
     "fill": ["s"],

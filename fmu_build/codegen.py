@@ -64,6 +64,8 @@ class Expressions:
     """Values in the messages of the assertions."""
     outputs: Sequence[bool]
     """Which of v are outputs of the model."""
+    delayed: list[SX]
+    """What ``delay()`` remembers, and for how long."""
 
 
 def column(items: Sequence[SX]) -> SX:
@@ -198,6 +200,9 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions, by: Slopes) -> Fu
     )
     add("asserts", environment, [column(e.asserts)])
     add("messages", environment, [column(e.shown)])
+    if e.delayed:
+        add("delayed", environment, [column(e.delayed)])
+        add_partials("delayed_partials", environment, "x u p d y z pz t", e.delayed)
     return out
 
 

@@ -258,6 +258,8 @@ def _generate(
     asserts = [system.rewrite(a.condition) for a in equations.asserts]
     shown = {v.location.index for v in interface.variables if v.causality == "output" and v.location.vector == "v"}
     outputs = [i in shown for i in range(len(interface.evaluated))]
+    remembered = [d.value for d in scope.delays.values()]
+    times = [d.time for d in scope.delays.values()]
     expressions = codegen.Expressions(
         dependent=dependent,
         x_start=[s.value for s in conditions.starts],
@@ -278,13 +280,15 @@ def _generate(
         asserts=continuous(asserts),
         shown=continuous([system.rewrite(v) for a in equations.asserts for v in messages.values(a.message)]),
         outputs=outputs,
+        delayed=continuous([system.rewrite(e) for e in (*remembered, *times)]),
     )
     slopes = codegen.slopes_of(scope.graph, ports, expressions)
     functions = codegen.make_functions(scope.graph, ports, expressions, slopes)
-    has_events = bool(ports.z or ports.m or scope.time_events or equations.whens)
+    has_events = bool(ports.z or ports.m or scope.time_events or equations.whens or scope.delays)
     sizes = {
         "NX": len(ports.x), "NU": len(ports.u), "NP": len(ports.p), "ND": len(ports.d), "NZ": len(ports.z),
         "NM": len(ports.m), "NY": len(ports.y), "NV": len(interface.evaluated), "NASSERT": len(asserts),
+        "NDELAY": len(scope.delays),
         "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
     }  # fmt: skip
     texts = [(f"{a.at}: {messages.text(a.message)}", a.warning) for a in equations.asserts]
@@ -311,7 +315,7 @@ def _generate(
         units=interface.units,
         experiment=flat.experiment,
         n_x=sizes["NX"], n_u=sizes["NU"], n_p=sizes["NP"], n_d=sizes["ND"], n_z=sizes["NZ"], n_m=sizes["NM"],
-        n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
+        n_delay=sizes["NDELAY"], n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
         has_events=has_events,
         has_initial=not conditions.explicit,
         c_source=files.source,

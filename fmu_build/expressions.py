@@ -93,6 +93,12 @@ class Scope(Protocol):
     def sample(self, start: Scalar, interval: Scalar) -> SX:
         """Truth of ``sample(start, interval)``."""
 
+    def delay(self, value: Scalar, time: Scalar) -> Scalar:
+        """Return ``delay(value, time)``."""
+
+    def is_fixed(self, value: SX) -> bool:
+        """Whether an expression depends on parameters alone."""
+
     def initial(self) -> SX:
         """Truth of ``initial()``."""
 
@@ -404,6 +410,8 @@ class Evaluator:
         if name in _SPECIAL:
             return self._special(name, given)
         arguments = [self(n) for n in given]
+        if name in ("fill", "transpose") and isinstance(arguments[0], dict):
+            return {field: BUILTIN[name](self, part, *arguments[1:]) for field, part in arguments[0].items()}
         if name in algebra.FUNCTIONS:
             return algebra.elementwise(algebra.FUNCTIONS[name], *arguments)
         if name in STEPS:
@@ -430,6 +438,8 @@ class Evaluator:
 
     def _size(self, given: list[Expression]) -> Value:
         array = self(given[0])
+        while isinstance(array, dict) and array:  # an array of records is a record of arrays
+            array = next(iter(array.values()))
         shape = array.shape if isinstance(array, Array) else ()
         if len(given) == 1:
             return Array((len(shape),), shape)

@@ -7,8 +7,10 @@ such a condition is a flag that later statements check.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import product
 from typing import Any, Protocol
 
@@ -87,6 +89,12 @@ class _Frame:
     def sample(self, start: Scalar, interval: Scalar) -> SX:
         raise ValueError("sample() is not allowed in a function")
 
+    def delay(self, value: Scalar, time: Scalar) -> Scalar:
+        raise ValueError("delay() is not allowed in a function")
+
+    def is_fixed(self, value: SX) -> bool:
+        raise AssertionError("functions are evaluated without events")
+
     def initial(self) -> SX:
         raise ValueError("initial() is not allowed in a function")
 
@@ -134,26 +142,18 @@ class Functions:
         return self._vectorised(function, list(arguments))
 
     def _vectorised(self, function: Function, arguments: list[Value]) -> Value:
-        for position, (formal, actual) in enumerate(zip(function.inputs, arguments, strict=False)):
-            if not formal.shape and formal.fields is None and isinstance(actual, Array):
-                others = [
-                    k for k, (f, a) in enumerate(zip(function.inputs, arguments, strict=False))
-                    if k > position and not f.shape and isinstance(a, Array) and a.shape == actual.shape
-                ]  # fmt: skip
-                parts = []
-                for number, item in enumerate(actual.items):
-                    row = list(arguments)
-                    row[position] = item
-                    for k in others:
-                        other = arguments[k]
-                        assert isinstance(other, Array)
-                        row[k] = other.items[number]
-                    parts.append(self._vectorised(function, row))
-                if parts and isinstance(parts[0], Array):
-                    return Array(
-                        (*actual.shape, *parts[0].shape), tuple(i for p in parts for i in algebra.scalars(p))
-                    )
-                return Array(actual.shape, tuple(algebra.scalars(p)[0] for p in parts))
+        pairs = list(zip(function.inputs, arguments, strict=False))
+        shapes = [_outer_shape(formal, actual) for formal, actual in pairs]
+        outer = next((shape for shape in shapes if shape is not None), None)
+        if outer is not None:
+            parts = []
+            for number in range(math.prod(outer)):
+                row = list(arguments)
+                for k, shape in enumerate(shapes):
+                    if shape == outer:
+                        row[k] = _element(arguments[k], number, math.prod(outer))
+                parts.append(self._vectorised(function, row))
+            return _stacked(outer, parts)
         if self._depth > 50:
             raise ValueError(f"function '{function.name}' calls itself endlessly")
         self._depth += 1
@@ -218,10 +218,7 @@ class Functions:
             for field in formal.fields:
                 record[field.name] = self._initial(field, evaluator)
             if shape:
-                return {
-                    name: Array.stack([float("nan") if value is None else value] * shape[0])
-                    for name, value in record.items()
-                }
+                return _stacked(tuple(shape), [_with_gaps(record)] * math.prod(shape))
             return record
         if not shape:
             return None
@@ -507,6 +504,53 @@ class Body:
         if isinstance(old, Array) and not isinstance(value, Array) and isinstance(value, bool | int | float | SX):
             raise self._library.error(f"a scalar is assigned to '{target.name}', which is an array", target.at)
         return value
+
+
+def _with_gaps(value: Value) -> Value:
+    """Value with NaN where there is none yet, so that an entry that is never assigned shows."""
+    if isinstance(value, dict):
+        return {name: _with_gaps(part) for name, part in value.items()}
+    return float("nan") if value is None else value
+
+
+def _outer_shape(formal: Formal, actual: Value) -> tuple[int, ...] | None:
+    """Shape of an argument for whose elements a function is called one by one; None for a plain argument."""
+    if formal.shape:
+        return None
+    if formal.fields is None:
+        return actual.shape if isinstance(actual, Array) else None
+    if not formal.fields or not isinstance(actual, dict):
+        return None
+    field = formal.fields[0]
+    value = actual.get(field.name)
+    if isinstance(value, Array):
+        return value.shape[: len(value.shape) - len(field.shape)] or None
+    return _outer_shape(replace(field, shape=()), value)
+
+
+def _element(value: Value, number: int, count: int) -> Value:
+    """One of `count` elements of an array, or of an array of records, which is a record of arrays."""
+    if isinstance(value, dict):
+        return {name: _element(part, number, count) for name, part in value.items()}
+    if not isinstance(value, Array):
+        return value
+    size = len(value.items) // count
+    items = value.items[number * size : (number + 1) * size]
+    shape, total = value.shape, 1
+    while total < count:
+        total *= shape[0]
+        shape = shape[1:]
+    return Array(shape, items) if shape else items[0]
+
+
+def _stacked(outer: tuple[int, ...], parts: Sequence[Value]) -> Value:
+    """Results for the elements of an array, as an array or a record of arrays."""
+    if parts and isinstance(parts[0], dict):
+        return {name: _stacked(outer, [p[name] for p in parts]) for name in parts[0]}  # type: ignore[index]
+    if parts and isinstance(parts[0], tuple):
+        return _stacked(outer, [p[0] for p in parts])  # type: ignore[index]
+    inner = parts[0].shape if parts and isinstance(parts[0], Array) else ()
+    return Array((*outer, *inner), tuple(i for p in parts for i in algebra.scalars(p)))
 
 
 def _number(value: float) -> int | float:

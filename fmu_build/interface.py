@@ -24,7 +24,7 @@ class Interface:
     Attributes
     ----------
     inputs
-        Symbols of u.
+        Symbols of u: inputs, then the values of ``delay()``.
     evaluated
         Expressions of v.
     iterate_starts
@@ -55,11 +55,12 @@ class _Describer:
         self.point = system.point
         declared = scope.declarations.scalars.values()
         self.inputs = [algebra.sx(d.symbol) for d in declared if d.kind == "input"]
+        delayed = [d.symbol for d in scope.delays.values()]  # follow the inputs in u
         self.place: dict[int, Location] = {}
         parameters = scope.parameters
         for vector, symbols in (
             ("x", [s.symbol for s in self.states]),
-            ("u", self.inputs),
+            ("u", [*self.inputs, *delayed]),
             ("p", [algebra.sx(d.symbol) for d, _ in parameters.independent]),
             ("d", [algebra.sx(d.symbol) for d, _ in parameters.dependent]),
             ("z", [d.symbol for d in happenings.discrete]),
@@ -68,6 +69,7 @@ class _Describer:
             for i, symbol in enumerate(symbols):
                 self.place[key(symbol)] = Location(vector, i)  # type: ignore[arg-type]
         states_and_inputs = (*(s.symbol for s in self.states), *self.inputs)
+        self.vector_u = [*self.inputs, *delayed]
         self.known = {key(s): (i, s.name()) for i, s in enumerate(states_and_inputs)}
         self.rates = [solution.expression(s.derivative) for s in self.states]
         self.evaluated: list[SX] = []
@@ -84,7 +86,7 @@ class _Describer:
         return Interface(
             tuple(variables),
             self._units(variables),
-            self.inputs,
+            self.vector_u,
             self.evaluated,
             [start_of(self.scope, self.aliases, s) for s in self.solution.iterates],
             [self._nominal(s.symbol) for s in self.states],
@@ -240,7 +242,7 @@ class _Describer:
             loops = True
             for residual in self.solution.residuals:
                 symbols |= graph.symbols(residual)
-        if any(self.scope.is_event_symbol(k) for k in symbols):
+        if any(self.scope.is_event_symbol(k) for k in symbols) or self.scope.is_delayed(symbols):
             return {}
         stepped, gradient = graph.stepped(expression), graph.gradient(expression)
 

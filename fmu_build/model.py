@@ -73,6 +73,9 @@ indicators          ENV                            g (nm): relation i is true if
                                                    ``MODEL_INCLUSIVE[i]`` is 1)
 update              ENV, init (1)                  z (nz), x (nx), next_event (1), terminate (1), reinit (1)
 asserts             ENV                            a (MODEL_NASSERT): assertion i holds iff a_i is not 0
+delayed             ENV                            what the last MODEL_NDELAY entries of u remember, then for how long;
+                                                   only if there are any, as its derivative:
+delayed_partials    ENV, SEEDS                     directional derivative of ``delayed``
 messages            ENV                            values that the messages show (MODEL_NSHOWN); those of assertion i begin
                                                    at ``MODEL_SHOWN[i]``
 ==================  =============================  =====================================================================
@@ -263,3 +266,9 @@ class CompiledModel:
     content_hash: str
     warnings: tuple[str, ...] = ()
     functions: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    n_delay: int = 0
+
+    @property
+    def needs_completed_step(self) -> bool:
+        """Whether importers have to say when a step is completed, in model exchange."""
+        return self.n_assert > 0 or self.n_delay > 0

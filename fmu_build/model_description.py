@@ -219,7 +219,7 @@ def _fmi2(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     }
     co_simulation = {"canHandleVariableCommunicationStepSize": True, "canInterpolateInputs": True}
     # Assertions are checked when an integrator's step is completed.
-    exchange = {"completedIntegratorStepNotNeeded": model.n_assert == 0}
+    exchange = {"completedIntegratorStepNotNeeded": not model.needs_completed_step}
     for tag, more in (("ModelExchange", exchange), ("CoSimulation", co_simulation)):
         files = _element(_element(root, tag, **abilities, **more), "SourceFiles")
         for name in sources:
@@ -273,7 +273,7 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
         "canSerializeFMUState": True,
         "providesDirectionalDerivatives": True,
     }
-    _element(root, "ModelExchange", **abilities, needsCompletedIntegratorStep=model.n_assert > 0)
+    _element(root, "ModelExchange", **abilities, needsCompletedIntegratorStep=model.needs_completed_step)
     _element(root, "CoSimulation", **abilities, canHandleVariableCommunicationStepSize=True)
     _units(root, model.units)
     types = _types(root, model, 3)

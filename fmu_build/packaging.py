@@ -38,13 +38,14 @@ _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
 _LEVELS = (
-    (_FAST, ("equations.c", "integrator.c", "dense_output.c")),
+    (_FAST, ("equations.c", "integrator.c", "dense_output.c", "delays.c")),
     (_VECTORS, ("sensitivity.c",)),
     (_STRAIGHT, ("model.c", "switches.c")),
     (_SELDOM, ("model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
     (_SELDOM, ("sensitivity_rare.c", "pivoted_blocks.c", "fmi2.c", "fmi3.c")),
 )
 _SHARED = (
+    "delays.c",
     "dense_output.c",
     "equations.c",
     "event_sensitivity.c",

@@ -38,6 +38,15 @@ class Held:
     start: SX
 
 
+@dataclass(frozen=True)
+class Delayed:
+    """``symbol`` is the value that an expression had a while ago."""
+
+    symbol: SX
+    value: SX
+    time: SX
+
+
 class ModelScope:
     """Scope of equations; collects what the expressions need (derivatives, relations, held values)."""
 
@@ -56,6 +65,7 @@ class ModelScope:
         self.relations: list[Relation] = []
         self.held: list[Held] = []
         self.time_events: list[SX] = []
+        self.delays: dict[tuple[int, int], Delayed] = {}
         self.left_limits: dict[int, SX] = {}  # continuous variables that pre() is applied to
         self._relation_of: dict[tuple[int, bool], SX] = {}
         self._step_of: dict[int, SX] = {}
@@ -149,6 +159,10 @@ class ModelScope:
             return self.derivative_symbol(SX(declared.symbol))
         if k in self.integral:
             return self.derivative_symbol(self._derivative[key(self.integral[k])])
+        if self.is_delayed({k}):
+            raise self.flat.error(
+                "the derivative of delay() is needed", None, "put a filter between it and its differentiation"
+            )
         return None
 
     # ---- discrete-time operators
@@ -185,6 +199,10 @@ class ModelScope:
     def is_continuous(self, value: SX) -> bool:
         """Whether an expression can change between events."""
         return not self.graph.symbols(value) <= self._discrete
+
+    def is_fixed(self, value: SX) -> bool:
+        """Whether an expression depends on parameters alone."""
+        return all(map(self.is_parameter, self.graph.symbols(value)))
 
     def changes_between_events(self, value: SX) -> bool:
         """Whether an expression changes between events, which ``sample()`` does not although it has the time."""
@@ -235,6 +253,22 @@ class ModelScope:
         self.held.append(Held(count, before, value, SX(0.0)))
         self.time_events.append(first + count * distance)
         return ca.logic_and(due, ca.logic_not(self.init))
+
+    def delay(self, value: Scalar, time: Scalar) -> Scalar:
+        """``delay(value, time)``: a symbol, whose value the runtime remembers."""
+        if not isinstance(value, SX) or (not isinstance(time, SX) and time == 0):
+            return value
+        if not isinstance(time, SX) and time < 0:
+            raise ValueError(f"a delay of {time:g} s")
+        by = algebra.sx(time)
+        same = (self.graph.same(value), self.graph.same(by))
+        if same not in self.delays:
+            self.delays[same] = Delayed(SX.sym(f"delay {len(self.delays) + 1}"), value, by)
+        return self.delays[same].symbol
+
+    def is_delayed(self, symbols: Set[int]) -> bool:
+        """Whether values of ``delay()`` are among symbols."""
+        return any(key(d.symbol) in symbols for d in self.delays.values())
 
     def fires(self, conditions: Iterable[SX]) -> SX:
         """Truth of a when-clause's firing: one of its conditions becomes true."""

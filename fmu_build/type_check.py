@@ -169,7 +169,7 @@ class _Checker:
         self._iterators = before
 
     def _assign_many(self, s: AssignMany) -> None:
-        self.kind(s.call)
+        self._call(s.call, alone=True)
         function = self._flat.functions.get(s.call.function)
         if function is None or function.constructor:
             return
@@ -288,16 +288,32 @@ class _Checker:
         self._iterators = before
         return kind
 
-    def _call(self, node: Call) -> Kind:
+    def _derivative(self, node: Call) -> None:
+        """Check that an argument of der() is Real and not discrete."""
+        argument = node.arguments[0] if node.arguments else None
+        kind = self.kind(argument)
+        if kind not in (None, "Real"):
+            raise ModelicaError(f"the argument of der() must be Real, not {shown(kind)}", where=node.at)
+        variable = self._flat.variables.get(argument.name) if isinstance(argument, Reference) else None
+        if variable is not None and variable.variability == "discrete":
+            raise ModelicaError(f"'{variable.name}' is discrete and has no derivative", where=node.at)
+
+    def _call(self, node: Call, alone: bool = False) -> Kind:
         name = node.function
         kinds = [None if a is None else self.kind(a) for a in node.arguments]
         function = self._flat.functions.get(name)
         if function is not None:
             for formal, kind in zip(function.inputs, kinds, strict=False):
                 self.fits(kind, kind_of(formal), f"argument '{formal.name}' of {name}()", node.at)
-            if function.constructor or not function.outputs:
+            if function.constructor:
+                return None
+            if not function.outputs:
+                if not alone:
+                    raise ModelicaError(f"{name}() has no result", where=node.at)
                 return None
             return kind_of(function.outputs[0])
+        if name == "der":
+            self._derivative(node)
         if name in _OF_NUMBERS:
             for kind in kinds:
                 self._number(kind, f"the argument of {name}()", node.at)

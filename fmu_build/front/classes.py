@@ -83,6 +83,7 @@ class Extends:
     type: Reference
     modification: Modification
     protected: bool = False
+    of_redeclared: bool = False  # in ``redeclare model extends``
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,29 +10,12 @@ from typing import Any
 from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import Connector, Equation, Origin
 from fmu_build.front.classes import ClassDef, ComponentDef, Modification
+from fmu_build.front.connector_checks import Element, Leaf, Sets, Signals, is_connector
 from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Slot, World
 from fmu_build.front.overconstrained import Tree, VirtualGraph
 from fmu_build.front.resolve import Absent, Env, Item, Many, NotInBusError, Resolver, Var, check_visible
 from fmu_build.front.streams import flow_of
 from fmu_build.syntax import All, Assert, Binary, Call, Expression, Literal, Part, Place, Reference, Unary
-
-Element = tuple[str, tuple[int, ...]]  # variable and index
-
-
-@dataclass(frozen=True)
-class Leaf:
-    """One side of a connection: a connector or an element of a variable, seen from inside or outside."""
-
-    item: Instance | Var
-    index: tuple[int, ...]
-    outside: bool
-
-    @property
-    def path(self) -> str:
-        """Path of the connector."""
-        if isinstance(self.item, Instance):
-            return self.item.path or ""
-        return self.item.name if self.item.connector is not None else (self.item.owner.path or "")
 
 
 @dataclass(frozen=True)
@@ -49,8 +32,9 @@ class Connections:
 
     def __init__(self, resolver: Resolver) -> None:
         self._resolver = resolver
-        self._flow_parent: dict[tuple[Element, bool], tuple[Element, bool]] = {}
-        self._potential_parent: dict[Element, Element] = {}
+        self._flows = Sets()  # of elements, each seen from inside or outside
+        self._potentials = Sets()  # of elements
+        self._signals = Signals()
         self._owner: dict[str, str] = {}  # variable -> connector
         self._flow_origin: dict[tuple[Element, bool], tuple[Origin, Place]] = {}
         self.equations: list[Equation] = []
@@ -72,6 +56,7 @@ class Connections:
             self._resolver.connected.update([*{leaf.path for leaf in left}, *{leaf.path for leaf in right}])
             for a, b in zip(left, right, strict=True):
                 self._join(a, b, written, (a.path, b.path))
+        self._signals.check()
 
     # ---- resolving
 
@@ -83,7 +68,7 @@ class Connections:
                                 fix=World.suggest(e.parts[0].name, scope.root.slots))  # fmt: skip
         root = slot.scope.root
         item = self._resolver.item(root, slot.name)
-        path = _Path(self._resolver, e, scope, env, _is_connector(item) and root is scope.root)
+        path = _Path(self._resolver, e, scope, env, is_connector(item) and root is scope.root)
         return path.found if path.walk(item, 0) else None
 
     # ---- expandable connectors
@@ -262,26 +247,14 @@ class Connections:
             self.touched |= {_path(a.item), _path(b.item)}
             return
         if isinstance(a.item, Instance) and isinstance(b.item, Instance):
-            for name, slot in a.item.slots.items():
-                if not isinstance(slot.element, ComponentDef):
-                    continue
-                if name not in b.item.slots:
-                    raise ModelicaError(
-                        f"'{connectors[0]}' has '{name}', but '{connectors[1]}' does not", where=at
-                    )
+            names = _common_names(a.item, b.item, connectors, at)
+            for name in names:
                 left = self._elements(self._resolver.item(a.item, name), a.outside)
                 right = self._elements(self._resolver.item(b.item, name), b.outside)
                 if len(left) != len(right):
                     raise ModelicaError(f"'{name}' has another size on each side of this connection", where=at)
                 for c, d in zip(left, right, strict=True):
                     self._join(c, d, written, connectors)
-            extra = [
-                n for n, s in b.item.slots.items() if n not in a.item.slots and isinstance(s.element, ComponentDef)
-            ]
-            if extra:
-                raise ModelicaError(
-                    f"'{connectors[1]}' has '{extra[0]}', but '{connectors[0]}' does not", where=at
-                )
             return
         if isinstance(a.item, Instance) or isinstance(b.item, Instance):
             raise ModelicaError(f"'{connectors[0]}' and '{connectors[1]}' are of different kinds", where=at)
@@ -309,17 +282,37 @@ class Connections:
             return
         if one.flow:
             self._flow_origin.setdefault((left, a.outside), (origin, at))
-            self._union_flow((left, a.outside), (right, b.outside))
+            self._flows.union((left, a.outside), (right, b.outside))
             return
         if one.variability in ("constant", "parameter") or other.variability in ("constant", "parameter"):
-            condition = Binary(at, "==", _reference(left, at), _reference(right, at))
-            message = Literal(at, f"{one.name} and {other.name} are connected and must be equal")
-            if one.type != "Real":
-                self.asserts.append(Assert(at, condition, message, False))
+            self._equal(one, other, left, right, at)
             return
-        if self._union_potential(left, right):
+        self._signals.join(a, b, written.scope.root.path or "", at)
+        if self._potentials.union(left, right):
             # the side with an output is written first, as it determines the other
             self.equations.append(Equation(_reference(left, at), _reference(right, at), origin, at))
+
+    def _equal(self, one: Var, other: Var, left: Element, right: Element, at: Place) -> None:
+        """Require connected parameters or constants to be equal."""
+        if one.variability != other.variability:
+            what = f"'{one.name}' is {one.variability}, but '{other.name}' is {other.variability}"
+            raise ModelicaError(what, where=at)
+        a, b = _reference(left, at), _reference(right, at)
+        if one.variability == "constant":
+            values = [self._resolver.known(e, at) for e in (a, b)]
+            if values[0] != values[1]:
+                what = f"'{one.name}' is {values[0]}, but '{other.name}', which is connected to it, is {values[1]}"
+                raise ModelicaError(what, where=at)
+            return
+        message = Literal(at, f"{one.name} and {other.name} are connected and must be equal")
+        if one.type == "Real":
+            size = Binary(at, "+", Call(at, "abs", (a,)), Call(at, "abs", (b,)))
+            apart = Call(at, "abs", (Binary(at, "-", a, b),))
+            condition: Expression = Binary(at, "<=", apart, Binary(at, "*", Literal(at, 1e-12), size))
+            condition = Call(at, "noEvent", (condition,))
+        else:
+            condition = Binary(at, "==", a, b)
+        self.asserts.append(Assert(at, condition, message, False))
 
     def _elements(self, item: Item, outside: bool) -> list[Leaf]:
         if isinstance(item, Var):
@@ -330,37 +323,12 @@ class Connections:
             return [Leaf(item, (), outside)]
         return []
 
-    def _union_potential(self, a: Element, b: Element) -> bool:
-        def find(x: Element) -> Element:
-            while self._potential_parent.setdefault(x, x) != x:
-                x = self._potential_parent[x]
-            return x
-
-        root_a, root_b = find(a), find(b)
-        if root_a == root_b:
-            return False
-        self._potential_parent[root_b] = root_a
-        return True
-
-    def _union_flow(self, a: tuple[Element, bool], b: tuple[Element, bool]) -> None:
-        root_a, root_b = self._find_flow(a), self._find_flow(b)
-        if root_a != root_b:
-            self._flow_parent[root_b] = root_a
-
-    def _find_flow(self, x: tuple[Element, bool]) -> tuple[Element, bool]:
-        while self._flow_parent.setdefault(x, x) != x:
-            x = self._flow_parent[x]
-        return x
-
     # ---- equations
 
     def balances(self, flows: list[Var]) -> list[Equation]:
         """One balance for each set of connected flows, and zero for each unconnected flow."""
-        sets: dict[tuple[Element, bool], list[tuple[Element, bool]]] = {}
-        for x in self._flow_parent:
-            sets.setdefault(self._find_flow(x), []).append(x)
         out = []
-        for root, members in sets.items():
+        for root, members in self._flows.members().items():
             origin, at = self._flow_origin.get(root) or next(
                 self._flow_origin[m] for m in members if m in self._flow_origin
             )
@@ -377,7 +345,7 @@ class Connections:
             out.append(Equation(total, Literal(at, 0), flow, at))
         for var in flows:
             for index in product(*(range(1, n + 1) for n in var.dims)):
-                if ((var.name, index), False) not in self._flow_parent:
+                if ((var.name, index), False) not in self._flows:
                     owner = var.name if var.connector is not None else var.owner.path or ""
                     origin = Origin("unconnected", owner.rpartition(".")[0], "", (owner,))
                     out.append(Equation(_reference((var.name, index), var.at), Literal(var.at, 0), origin, var.at))
@@ -412,8 +380,11 @@ class _Path:
         if isinstance(item, Instance):
             if part.subscripts and not element:
                 raise ModelicaError(f"'{part.name}' is not an array", where=self._e.at)
+            if position and not is_connector(item):
+                what = f"'{self._e.name}' is inside a component of a component and cannot be connected here"
+                raise ModelicaError(what, where=self._e.at)
             return self._instance(item, position)
-        if position + 1 < len(self._e.parts) or (item.connector is None and not _is_connector(item.owner)):
+        if position + 1 < len(self._e.parts) or (item.connector is None and not is_connector(item.owner)):
             raise self._no_connector()
         self.found.extend(Leaf(item, index, self._outside) for index in self._indices(item.dims, part))
         return True
@@ -421,7 +392,7 @@ class _Path:
     def _instance(self, item: Instance, position: int) -> bool:
         e = self._e
         if position + 1 == len(e.parts):
-            if not _is_connector(item):
+            if not is_connector(item):
                 raise self._no_connector()
             self.found.append(Leaf(item, (), self._outside))
             return True
@@ -491,16 +462,20 @@ def connector(item: Instance | Var, resolver: Resolver) -> Connector:
     return Connector(item.path or "", owner or "", item.class_name, tuple(potentials), tuple(flows_))
 
 
+def _common_names(a: Instance, b: Instance, connectors: tuple[str, str], at: Place) -> list[str]:
+    """Names of the elements that two connected connectors, or records in them, have in common: all."""
+    for one, other, (name, other_name) in ((a, b, connectors), (b, a, connectors[::-1])):
+        if one.is_kind("expandable connector") and not other.is_kind("expandable connector"):
+            fix = "connect to an element of the expandable connector"
+            raise ModelicaError(f"'{name}' is expandable, but not '{other_name}'", where=at, fix=fix)
+        for element, slot in one.slots.items():
+            if isinstance(slot.element, ComponentDef) and element not in other.slots:
+                raise ModelicaError(f"'{name}' has '{element}', but '{other_name}' does not", where=at)
+    return [name for name, slot in a.slots.items() if isinstance(slot.element, ComponentDef)]
+
+
 def _path(item: Item) -> str:
     return item.path or "" if isinstance(item, Instance) else getattr(item, "name", "")
-
-
-def _is_connector(item: Item) -> bool:
-    if isinstance(item, Many):
-        return bool(item.items) and _is_connector(item.items[0])
-    if isinstance(item, Var):
-        return item.connector is not None
-    return isinstance(item, Instance) and item.is_kind("connector", "expandable connector")
 
 
 def _name(element: Element) -> str:

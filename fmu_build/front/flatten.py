@@ -15,6 +15,7 @@ from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import Algorithm, Component, Connector, Equation, FlatModel, Origin, Variable
 from fmu_build.front.classes import Argument, ClassDef, ComponentDef
 from fmu_build.front.connections import Connections, Written, connector
+from fmu_build.front.connector_checks import check_causal, check_connector
 from fmu_build.front.instances import NO_MOD, ClassRef, Instance, Mod, Slot, World
 from fmu_build.front.library import Library
 from fmu_build.front.parser import annotation
@@ -173,6 +174,7 @@ class _Flattener:
 
     def _visit(self, item: Item) -> None:
         if isinstance(item, Var):
+            _check_variable(item)
             self.order.append(item)
         elif isinstance(item, Many):
             for inner in item.items:
@@ -180,12 +182,22 @@ class _Flattener:
         elif isinstance(item, Instance):
             self.tree.append(item)
             for name, slot in list(item.slots.items()):
-                element = slot.element
-                if not isinstance(element, ComponentDef):
-                    continue
-                if self._is_reference(slot):
-                    continue
-                self._visit(self.resolver.item(item, name, element.at))
+                self._visit_element(item, name, slot)
+            if item.kind == "connector":
+                check_connector(item, self.resolver)
+
+    def _visit_element(self, item: Instance, name: str, slot: Slot) -> None:
+        element = slot.element
+        if not isinstance(element, ComponentDef):
+            if slot.mod.redeclare is not None:
+                self.world.package(slot, element.at)  # is checked, although it may not be used
+            return
+        if self._is_reference(slot):
+            return
+        inner = self.resolver.item(item, name, element.at)
+        if item.kind == "block" and not slot.protected:
+            check_causal(inner, self.resolver)
+        self._visit(inner)
 
     def _is_reference(self, slot: Slot) -> bool:
         """Whether a component is an outer one that refers to an inner one elsewhere."""
@@ -236,6 +248,12 @@ class _Flattener:
         attributes: dict[str, Any] = {}
         for name in ("start", "min", "max", "nominal"):
             attributes[name] = resolver.attribute(var, name)
+        binding = resolver.binding(var)
+        if var.variability == "constant" and binding is None and attributes["start"] is None:
+            raise ModelicaError(f"constant '{var.name}' has no value", where=var.at)
+        if "discrete" in var.element.prefixes and var.type == "Real" and binding is not None:
+            what = f"'{var.name}' is discrete and cannot have an equation here"
+            raise ModelicaError(what, where=var.at, fix="assign it in a when-equation, or leave out discrete")
         attributes["start_level"] = _level(var.attributes.subs.get("start"))
         for name, key in (("unit", "unit"), ("displayUnit", "display_unit"), ("quantity", "quantity")):
             stated = resolver.attribute(var, name)
@@ -261,7 +279,7 @@ class _Flattener:
             name=var.name, at=var.at, type=var.type, variability=var.variability,  # type: ignore[arg-type]
             component=var.owner.path or "", type_name=var.type_name, literals=var.literals, shape=var.dims,
             direction=var.direction, causality=causality, flow=var.flow,  # type: ignore[arg-type]
-            binding=resolver.binding(var), description=var.element.description, final=var.final,
+            binding=binding, description=var.element.description, final=var.final,
             evaluate=var.evaluate, protected=var.protected, **attributes,
         )  # fmt: skip
 
@@ -428,10 +446,9 @@ class _Flattener:
         for k, condition in enumerate(conditions):
             if condition is None:
                 return k
-            value = self.resolver.maybe_known(condition)
-            if value is None:
+            if self.resolver.maybe_known(condition) is None:
                 return None
-            if value:
+            if self.resolver.truth(condition, condition.at):
                 return k
         return len(conditions)
 
@@ -451,7 +468,10 @@ class _Flattener:
         expr = self.resolver.expr
         match item:
             case SourceEquation():
-                return [_assignment(expr(item.left, scope, env), expr(item.right, scope, env), item.at)]
+                assigned = _assignment(expr(item.left, scope, env), expr(item.right, scope, env), item.at)
+                for target in (assigned.target,) if isinstance(assigned, Assign) else assigned.targets:
+                    self._check_assigned(target, scope)
+                return [assigned]
             case ForStatement():
                 return [
                     flat
@@ -471,6 +491,17 @@ class _Flattener:
             case Terminate():
                 return [Terminate(item.at, expr(item.message, scope, env))]
         raise ModelicaError("this is not supported in a when-equation", where=item.at)
+
+    def _check_assigned(self, target: Reference | None, scope: Instance) -> None:
+        """Refuse a when-equation for a variable of a component."""
+        var = None if target is None else self.resolver.vars.get(target.name)
+        owner = None if var is None else var.owner
+        while owner is not None and owner.root is not scope.root:
+            if owner.kind in ("model", "block", "class"):
+                assert target is not None
+                what = f"'{target.name}' belongs to a component and cannot be assigned in a when-equation here"
+                raise ModelicaError(what, where=target.at)
+            owner = owner.owner.root if owner.owner is not None else None
 
     def _when_if(self, item: IfStatement, scope: Instance, env: Env) -> list[Any]:
         branches = [
@@ -615,6 +646,17 @@ def _in_connector(owner: Instance | None) -> bool:
             return False
         owner = owner.owner.root if owner.owner is not None else None
     return owner is not None
+
+
+def _check_variable(var: Var) -> None:
+    """Refuse prefixes and values that are only possible elsewhere."""
+    inside = var.connector is not None or _in_connector(var.owner)
+    if (var.flow or var.stream) and not inside:
+        what = f"'{var.name}' has the prefix {'flow' if var.flow else 'stream'}, but is not in a connector"
+        raise ModelicaError(what, where=var.at)
+    fixed = var.variability in ("parameter", "constant")
+    if var.owner.kind == "expandable connector" and var.attributes.value is not None and not fixed:
+        raise ModelicaError(f"'{var.name}' is in an expandable connector and cannot have a value", where=var.at)
 
 
 def _level(mod: Mod | None) -> int | None:

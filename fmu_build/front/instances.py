@@ -9,7 +9,7 @@ finds redeclared elements.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from fmu_build.errors import ModelicaError
@@ -19,15 +19,18 @@ from fmu_build.front.classes import (
     ComponentDef,
     Constraint,
     Extends,
+    Import,
     Modification,
     Short,
+    Source,
 )
 from fmu_build.front.library import Library
-from fmu_build.front.restrictions import check_base, check_class
+from fmu_build.front.restrictions import check_base, check_class, is_package_like
 from fmu_build.syntax import Expression, Literal, Node, Part, Place, Reference, Subscripted
 from fmu_build.syntax import Field as FieldOf
 
 _NOWHERE = Place("(predefined)", 1)
+_INHERITED = " (inherited)"  # after the name of a class that ``redeclare model extends`` extends
 PREDEFINED = ("Real", "Integer", "Boolean", "String", "ExternalObject")
 
 
@@ -61,7 +64,7 @@ class Mod:
         Modifications of elements, by name.
     redeclare
         New declaration and its scope; `below` is then the modification of the old one, which the new one's
-        overrides.
+        overrides, and `passed` are the redeclarations that it overrides.
     """
 
     at: Place
@@ -72,6 +75,7 @@ class Mod:
     final: bool = False
     redeclare: tuple[ComponentDef | ClassDef, Instance] | None = None
     below: Mod | None = None
+    passed: tuple[tuple[ComponentDef | ClassDef, Instance], ...] = ()
     weak: bool = False  # of a field, where the record as a whole has a value from further outside
 
     def indexed(self, index: tuple[int, ...]) -> Mod:
@@ -123,10 +127,15 @@ def merge(outer: Mod, inner: Mod, name: str) -> Mod:
     if inner.final and (outer.value is not None or outer.redeclare is not None or outer.subs):
         raise ModelicaError(f"'{name}' is final and cannot be modified", where=outer.at)
     if outer.redeclare is not None:
-        below = replace(inner, redeclare=None, below=None)
+        below = replace(inner, redeclare=None, below=None, passed=())
+        passed = outer.passed
+        if inner.redeclare is not None:
+            if not inner.redeclare[0].replaceable:
+                raise ModelicaError(f"'{name}' is redeclared and not replaceable any more", where=outer.at)
+            passed += (inner.redeclare, *inner.passed)
         if outer.below is not None:
             below = merge(outer.below, below, name)
-        return replace(outer, below=below, final=outer.final or inner.final)
+        return replace(outer, below=below, final=outer.final or inner.final, passed=passed)
     subs = dict(inner.subs)
     if outer.value is not None:  # the value of a record overrides modifications of its fields further inside
         subs = {n: replace(m, weak=True) for n, m in subs.items()}
@@ -142,17 +151,28 @@ def merge(outer: Mod, inner: Mod, name: str) -> Mod:
         outer.final or inner.final,
         inner.redeclare,
         inner.below,
+        inner.passed,
     )
 
 
 @dataclass(slots=True, eq=False)
 class Slot:
-    """An element of an instance: its declaration, the declaration's scope, and its modification."""
+    """An element of an instance: its declaration, the declaration's scope, and its modification.
+
+    Attributes
+    ----------
+    protected
+        Whether the element, or an extends clause through which it is inherited, is protected.
+    bounds
+        Declarations, with their scopes, whose type or constraining type the element has to fit.
+    """
 
     name: str
     element: ComponentDef | ClassDef
     scope: Instance
     mod: Mod
+    protected: bool = False
+    bounds: tuple[tuple[ComponentDef | ClassDef, Instance], ...] = ()
     package: Instance | None = None
     resolved: Slot | None = None
 
@@ -177,9 +197,12 @@ def _resolve(slot: Slot) -> Slot:
     old, mod, name = slot.element, slot.mod, slot.name
     if mod.redeclare is None:
         mod = merge(mod, _own_mod(old, slot.scope), name) if isinstance(old, ComponentDef) else mod
-        return Slot(name, old, slot.scope, merge(mod, _constraint_mod(old.constraint, slot.scope), name))
+        mod = merge(mod, _constraint_mod(old.constraint, slot.scope), name)
+        bound = ((old, slot.scope),) if old.constraint is not None else ()
+        return Slot(name, old, slot.scope, mod, slot.protected, bound)
     new, scope = mod.redeclare
-    _check_redeclared(old, new, mod)
+    _check_redeclared(slot, new, mod)
+    bounds = (mod.redeclare, *mod.passed, (old, slot.scope))
     # Modifiers of the constraining clause apply to every redeclaration; without one, those of the declaration do.
     if old.constraint is not None:
         carried = _constraint_mod(old.constraint, slot.scope)
@@ -195,17 +218,26 @@ def _resolve(slot: Slot) -> Slot:
         assert isinstance(old, ComponentDef)
         redeclared = _own_mod(new, scope)
         declared = _redeclared(old, slot.scope, new, scope)
-        return Slot(name, declared, scope, merge(outer, merge(redeclared, carried, name), name))
-    return Slot(name, new, scope, _with_carried(outer, new, scope, carried, name))
+        merged = merge(outer, merge(redeclared, carried, name), name)
+        return Slot(name, declared, scope, merged, slot.protected, bounds)
+    return Slot(name, new, scope, _with_carried(outer, new, scope, carried, name), slot.protected, bounds)
 
 
-def _check_redeclared(old: ComponentDef | ClassDef, new: ComponentDef | ClassDef, mod: Mod) -> None:
+def _check_redeclared(slot: Slot, new: ComponentDef | ClassDef, mod: Mod) -> None:
+    old = slot.element
     if isinstance(new, ClassDef) != isinstance(old, ClassDef):
         raise ModelicaError(f"'{old.name}' is redeclared as an element of another kind", where=mod.at)
-    if new.redeclare and not old.replaceable:
+    extends = isinstance(new, ClassDef) and new.extended is not None
+    if (new.redeclare or extends) and not old.replaceable:
         raise ModelicaError(f"'{old.name}' is not replaceable", where=mod.at)
     if new.redeclare and old.final:
         raise ModelicaError(f"'{old.name}' is final and cannot be redeclared", where=mod.at)
+    if isinstance(old, ComponentDef) and "constant" in old.prefixes:
+        raise ModelicaError(f"'{old.name}' is constant and cannot be redeclared", where=mod.at)
+    in_body = mod.redeclare is not None and any(e is new for e in mod.redeclare[1].definition.elements)
+    if in_body and slot.protected != new.protected:
+        was, now = ("protected", "public") if slot.protected else ("public", "protected")
+        raise ModelicaError(f"'{old.name}' is {was} and cannot be redeclared as {now}", where=mod.at)
 
 
 def _redeclared(old: ComponentDef, old_scope: Instance, new: ComponentDef, scope: Instance) -> ComponentDef:
@@ -289,6 +321,7 @@ class Instance:
         path: str | None = None,
         owner: Instance | None = None,
         root: Instance | None = None,
+        hidden: bool = False,
         elaborate: bool = True,
     ) -> None:
         self.world = world
@@ -304,6 +337,7 @@ class Instance:
         self.items: dict[str, Any] = {} if root is None else root.items
         self.prefixes: frozenset[str] = frozenset()  # those of the component and of its parents
         self.final = False
+        self.hidden = hidden  # inherited through a protected extends clause
         self.protected = False
         self.builtin: str | None = definition.name if definition.kind == "builtin" else None
         self.enumeration: ClassDef | None = definition if definition.enumeration is not None else None
@@ -357,8 +391,13 @@ class Instance:
             if isinstance(element, Extends):
                 base = self.world.find_class(self, element.type, extends=definition)
                 check_base(definition, base.definition, element)
+                if base.definition.replaceable and not element.of_redeclared:
+                    what = f"'{element.type.name}' is replaceable and cannot be a base class"
+                    raise ModelicaError(what, where=element.at)
                 written = modifier(element.modification, self)
-                self._inherit(base, merge(self.mod, merge(body, written, definition.name), definition.name))
+                mod = merge(self.mod, merge(body, written, definition.name), definition.name)
+                self._inherit(base, mod, element.protected)
+                self._check_lonely(element)
             elif isinstance(element, ComponentDef) and element.name not in redeclared:
                 self._add(element)
         for name, mod in redeclared.items():
@@ -371,7 +410,18 @@ class Instance:
         """Scope of a short class's own expressions: the instance in which it is written."""
         return self.parent or self
 
-    def _inherit(self, base: ClassRef, mod: Mod) -> None:
+    def _check_lonely(self, clause: Extends) -> None:
+        """Refuse an array type, or one with the prefix input or output, as one of several parts."""
+        inherited = self.bases[-1]
+        others = [e for e in self.definition.elements if isinstance(e, ComponentDef | Extends) and e is not clause]
+        if others and (inherited.subscripts or inherited.short_prefixes):
+            what = "an array" if inherited.subscripts else f"an {min(inherited.short_prefixes)}"
+            raise ModelicaError(
+                f"'{clause.type.name}' is {what}; a class that extends it cannot have other elements",
+                where=clause.at,
+            )
+
+    def _inherit(self, base: ClassRef, mod: Mod, hidden: bool = False) -> None:
         inherited = Instance(
             self.world,
             base.definition,
@@ -380,6 +430,7 @@ class Instance:
             path=self.path,
             owner=self.owner,
             root=self.root,
+            hidden=self.hidden or hidden,
         )
         self.bases.append(inherited)
         self.visible |= inherited.visible
@@ -395,20 +446,17 @@ class Instance:
         if old is not None and old.element is not element:
             if old.scope is self:
                 raise ModelicaError(f"'{name}' is declared twice", where=element.at)
-            if isinstance(old.element, ComponentDef) != isinstance(element, ComponentDef) or (
-                isinstance(old.element, ComponentDef)
-                and isinstance(element, ComponentDef)
-                and not _alike(old.element, element)
-            ):
+            if not _alike(old.element, element):
                 raise ModelicaError(f"'{name}' is inherited, but declared differently here", where=element.at)
         if old is None:
-            old = self.slots[name] = Slot(name, element, self, self.mod.subs.get(name, NO_MOD))
+            hidden = self.hidden or element.protected
+            old = self.slots[name] = Slot(name, element, self, self.mod.subs.get(name, NO_MOD), hidden)
         self.visible.add(name)
         return old
 
     def _check_modified(self) -> None:
         for name, mod in self.mod.subs.items():
-            if self.path and name in self.slots and self.slots[name].element.protected:
+            if self.path and name in self.slots and self.slots[name].protected:
                 raise ModelicaError(f"'{name}' is protected in '{self.path}' and cannot be modified", where=mod.at)
             if name not in self.slots and not (self.builtin or self.enumeration):
                 if self.definition.loader is not None and self.definition.member(name):
@@ -450,13 +498,49 @@ class Instance:
         return any(base.is_kind(*kinds) for base in self.bases)
 
     @property
+    def kind(self) -> str:
+        """Kind of the class; of what it stands for if it is a short one of the kind "class"."""
+        definition = self.definition
+        return self.bases[0].kind if definition.kind == "class" and definition.short else definition.kind
+
+    @property
     def class_name(self) -> str:
         """Qualified name of the class; for a short class without modifiers, of the class that it renames."""
         return self.definition.path or self.definition.name
 
 
-def _alike(a: ComponentDef, b: ComponentDef) -> bool:
+def _misfit(instance: Instance, bound: Instance) -> str | None:
+    """Return why a class does not fit a constraining type; None if it does."""
+    if any(b.definition is bound.definition for b in instance.all_bases()):
+        return None
+    lacks = next((n for n, s in bound.slots.items() if not s.protected and n not in instance.slots), None)
+    if lacks is not None:
+        return f"it has no '{lacks}'"
+    if bound.builtin != instance.builtin:
+        return "the types differ"
+    if len(bound.subscripts) != len(instance.subscripts):
+        return "the numbers of dimensions differ"
+    return None
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two parts of the source say the same, wherever they are."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, Place | Source):
+        return True
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if is_dataclass(a):
+        names = [f.name for f in fields(a) if f.name not in ("outside", "path", "loader", "folder", "_parse")]
+        return all(_same(getattr(a, name), getattr(b, name)) for name in names)
+    return bool(a == b)
+
+
+def _alike(a: ComponentDef | ClassDef, b: ComponentDef | ClassDef) -> bool:
     """Whether two declarations are the same (an element that is inherited twice)."""
+    if not isinstance(a, ComponentDef) or not isinstance(b, ComponentDef):
+        return _same(a, b)
     return (
         a.type.name.rpartition(".")[2] == b.type.name.rpartition(".")[2]
         and a.prefixes == b.prefixes
@@ -513,28 +597,41 @@ class World:
         memo = (id(definition), name)
         if memo not in self._imports:
             self._imports[memo] = None  # an import does not look itself up
-            for clause in definition.imports:
-                if clause.alias == name:
-                    imported: Slot | ClassRef | Literal | None = self._qualified(clause.name)
-                    if imported is None:
-                        imported = self._literal(clause.name)
-                    if imported is None:
-                        raise ModelicaError(
-                            f"there is no '{clause.name}' to import", where=clause.at, fix=self.absent(clause.name)
-                        )
-                    self._imports[memo] = imported
-                    break
-                if clause.alias == "*":
-                    package = self._qualified(clause.name)
-                    if package is None:
-                        raise ModelicaError(
-                            f"there is no '{clause.name}' to import", where=clause.at, fix=self.absent(clause.name)
-                        )
-                    imported = self.package(package, clause.at).slot(name)
-                    if imported is not None:
-                        self._imports[memo] = imported
-                        break
+            single = next((c for c in definition.imports if c.alias == name), None)
+            if single is not None:
+                self._imports[memo] = self._import(single)
+                return self._imports[memo]
+            for clause in (c for c in definition.imports if c.alias == "*"):
+                package = self._import(clause)
+                assert not isinstance(package, Literal)
+                imported = self.package(package, clause.at).slot(name)
+                if imported is None or imported.protected:
+                    continue
+                before = self._imports[memo]
+                if isinstance(before, Slot) and before.element is not imported.element:
+                    what = f"two imports make '{name}' visible"
+                    raise ModelicaError(what, where=clause.at, fix="import it by name")
+                self._imports[memo] = imported
         return self._imports[memo]
+
+    def _import(self, clause: Import) -> Slot | ClassRef | Literal:
+        """Find what an import names; all that contains it must be packages."""
+        imported: Slot | ClassRef | Literal | None = self._qualified(clause.name)
+        if imported is None:
+            imported = self._literal(clause.name)
+        if imported is None:
+            raise ModelicaError(
+                f"there is no '{clause.name}' to import", where=clause.at, fix=self.absent(clause.name)
+            )
+        if isinstance(imported, Slot):
+            if imported.protected:
+                raise ModelicaError(f"'{clause.name}' is protected and cannot be imported", where=clause.at)
+            ref = self.class_ref(imported)
+            is_package = ref is not None and ref.definition.kind == "package"
+            if not is_package and (clause.alias == "*" or imported.scope.root.definition.kind != "package"):
+                what = f"'{clause.name}' is neither a package nor in one, so it cannot be imported"
+                raise ModelicaError(what, where=clause.at)
+        return imported
 
     def absent(self, name: str) -> str | None:
         """Return advice for a name that does not exist."""
@@ -619,10 +716,12 @@ class World:
                     target = imported
                 elif not extends.encapsulated:
                     target = self.find(scope.parent, first)
-                if target is None and first in scope.visible:
-                    target = scope.slots[first]
                 if target is None:
                     target = self.find(None, first)
+                if target is None and first in scope.visible:
+                    if not first.endswith(_INHERITED):
+                        raise ModelicaError(f"the base class '{name.name}' is itself inherited", where=name.at)
+                    target = scope.slots[first]
         else:
             target = self.find(scope, first, name.rooted)
         for part in name.parts[1:]:
@@ -635,7 +734,27 @@ class World:
         """Find a member of a package (or of the class of a component)."""
         if isinstance(target, Slot) and isinstance(target.element, ComponentDef):
             return None
-        return self.package(target, at).slot(name)
+        package = self.package(target, at)
+        slot = package.slot(name)
+        if slot is not None:
+            self.check_inside(package, slot, at)
+        return slot
+
+    @staticmethod
+    def check_inside(package: Instance, slot: Slot, at: Place) -> None:
+        """Refuse an element of a class that cannot be used by a dotted name."""
+        name = package.class_name
+        if slot.protected:
+            raise ModelicaError(f"'{slot.name}' is protected in '{name}'", where=at)
+        definition = package.definition
+        if definition.partial and definition.kind == "package":
+            raise ModelicaError(f"package '{name}' is partial, so '{slot.name}' in it cannot be used", where=at)
+        encapsulated = isinstance(slot.element, ClassDef) and slot.element.encapsulated
+        if not encapsulated and not is_package_like(definition):
+            raise ModelicaError(
+                f"'{name}' is not a package, and '{slot.name}' in it is not encapsulated", where=at,
+                fix=f"declare '{slot.name}' outside, or make it encapsulated",
+            )  # fmt: skip
 
     def class_ref(self, target: Slot | ClassRef) -> ClassRef | None:
         """Return the class that a lookup found; None if it found a component."""
@@ -659,7 +778,7 @@ class World:
         base = Slot(inherited.name, old, inherited.scope, below)
         if definition.extended is None:
             raise AssertionError
-        hidden = f"{inherited.name} (inherited)"
+        hidden = f"{inherited.name}{_INHERITED}"
         holder = Instance(
             self,
             ClassDef(definition.at, definition.name, "package", path=slot.scope.definition.path),
@@ -675,7 +794,7 @@ class World:
             outside=definition.outside, path=definition.path,
         )  # fmt: skip
         copy.elements = [
-            Extends(definition.at, Reference(definition.at, (Part(hidden),)), definition.extended),
+            Extends(definition.at, Reference(definition.at, (Part(hidden),)), definition.extended, False, True),
             *definition.elements,
         ]
         return ClassRef(copy, holder, slot.mod, inherited)
@@ -691,6 +810,7 @@ class World:
         out = self._instance(ref)
         if isinstance(target, Slot):
             target.package = out
+            self.check_bounds(target.effective(), out, target.name)
         return out
 
     def plain(self, ref: ClassRef) -> ClassRef:
@@ -720,6 +840,26 @@ class World:
         """Make an instance that is a component."""
         merged = merge(mod, ref.mod, ref.definition.name)
         return Instance(self, ref.definition, ref.parent, merged, path=path, owner=owner)
+
+    def check_bounds(self, slot: Slot, instance: Instance, path: str) -> None:
+        """Refuse an element that does not fit the constraining types of its declarations."""
+        inner = [instance]
+        for element, scope in slot.bounds:
+            if element.constraint is not None:
+                ref = self.find_class(scope, element.constraint.type)
+            elif isinstance(element, ComponentDef):
+                ref = self.find_class(scope, element.type)
+            elif element.extended is None:
+                ref = ClassRef(element, scope)
+            else:  # it extends what it has to fit
+                continue
+            bound = self.package(ref if ref.slot is None else ref.slot, element.at)
+            for one in inner:
+                misfit = _misfit(one, bound)
+                if misfit is not None:
+                    what = f"'{path}' is of '{one.class_name}', which does not fit '{bound.class_name}': {misfit}"
+                    raise ModelicaError(what, where=slot.element.at)
+            inner.append(bound)
 
     @staticmethod
     def suggest(name: str, known: Any) -> str | None:

@@ -29,6 +29,7 @@ from fmu_build.front.instances import (
     field_mod,
     merge,
 )
+from fmu_build.front.operators import Kind, Operators, Signature, record_of
 from fmu_build.front.overconstrained import Tree
 from fmu_build.front.parser import annotation
 from fmu_build.front.streams import Streams, flow_of
@@ -71,6 +72,7 @@ from fmu_build.syntax import (
 
 Env = dict[str, Literal | None]  # loop variables: their value, or None if they remain
 _RANK = {"constant": 0, "parameter": 1, "discrete": 2}
+_MOST_NESTED = 20  # components of one class inside each other
 _MOST_ELEMENTS = 20_000  # of an array of components
 
 
@@ -153,6 +155,7 @@ class Resolver:
         self.warnings: list[str] = []
         self.files: tuple[Path, ...] = ()
         self.streams = Streams()
+        self.operators = Operators(self)
         self.tree: Tree | None = None  # of overconstrained connectors, once it is known
         self.connected: Counter[str] = Counter()  # number of connections of each connector, once it is known
         self._function_keys: dict[tuple[int, int, int], str] = {}
@@ -197,6 +200,7 @@ class Resolver:
                 if slot.mod.value is not None or slot.mod.subs:
                     raise ModelicaError(f"'{name}' is outer and cannot be modified", where=component.at,
                                         fix="modify the inner one")  # fmt: skip
+                self._check_outer(slot, outer)
                 return outer
         if component.condition is not None:
             condition = self.expr(component.condition, slot.scope, {})
@@ -205,20 +209,57 @@ class Resolver:
         prefix = root.class_name if root.path is None else root.path
         path = f"{prefix}.{name}" if prefix else name
         ref = self.world.find_class(slot.scope, component.type)
-        _check_type(path, component, ref, root)
+        _check_type(path, component, self.world.plain(ref) if ref.definition.kind != "package" else ref, root)
         single = self.world.instantiate(ref, NO_MOD if component.subscripts else slot.mod, path, root)
+        for declared in (slot, *([] if ref.slot is None else [ref.slot.effective()])):
+            self.world.check_bounds(declared, single, path)
+        self._check_component(path, component, single, root)
         if single.builtin or single.enumeration:
             if component.subscripts:
                 single = self.world.instantiate(ref, slot.mod, path, root)
             return self._var(root, path, slot, single, ref)
-        if component.prefixes & {"flow", "stream"} and not single.is_kind("record", "operator record"):
-            raise ModelicaError(
-                f"'{path}' has the prefix flow or stream, but is not a variable", where=component.at
-            )
         if not component.subscripts:
             self._settle(root, single, slot, path)
             return single
         return self._array(root, path, slot, ref)
+
+    def _check_component(self, path: str, component: ComponentDef, instance: Instance, root: Instance) -> None:
+        """Refuse prefixes that only variables, records and connectors can have, and a class inside itself."""
+        kind = instance.kind
+        for prefix in sorted(component.prefixes | instance.short_prefixes):
+            fits = kind not in ("model", "block", "class") or instance.builtin is not None
+            if prefix in ("parameter", "constant"):
+                fits = fits and not kind.endswith("connector")
+            if not fits:
+                raise ModelicaError(f"'{path}' has the prefix {prefix}, but is a {kind}", where=component.at)
+        if "flow" in component.prefixes:
+            self.operators.check_flow(path, instance, component.at)
+        around: Instance | None = root
+        count = 0
+        while around is not None:
+            count += around.definition is instance.definition
+            around = around.owner.root if around.owner is not None else None
+        if count > _MOST_NESTED:
+            raise ModelicaError(f"'{instance.class_name}' contains itself", where=component.at)
+
+    def _check_outer(self, slot: Slot, item: Item) -> None:
+        """Refuse an outer variable whose type or size is not that of the inner one."""
+        component = slot.element
+        assert isinstance(component, ComponentDef)
+        ref = self.world.find_class(slot.scope, component.type)
+        outer = self.world.package(ref if ref.slot is None else ref.slot, component.at)
+        if not isinstance(item, Var) or not (outer.builtin or outer.enumeration):
+            return
+        if (outer.builtin or "Integer") != item.type:
+            raise ModelicaError(
+                f"'{slot.name}' is outer and of {outer.builtin or 'an enumeration'}, "
+                f"but the inner one is {item.type}", where=component.at,
+            )  # fmt: skip
+        subscripts = [(s, slot.scope) for s in component.subscripts] + outer.subscripts
+        dims = [None if isinstance(s, All) else self._dimension(s, c, 0, tuple) for s, c in subscripts]
+        if len(dims) != len(item.dims) or any(n not in (None, m) for n, m in zip(dims, item.dims, strict=True)):
+            raise ModelicaError(f"'{slot.name}' is outer, and the inner one has size {list(item.dims)}",
+                                where=component.at)  # fmt: skip
 
     def _array(self, root: Instance, path: str, slot: Slot, ref: ClassRef) -> Many:
         """Make an array of components that are not variables."""
@@ -243,7 +284,7 @@ class Resolver:
         assert isinstance(component, ComponentDef)
         instance.prefixes = root.prefixes | component.prefixes | instance.short_prefixes
         instance.final = root.final or component.final or slot.mod.final
-        instance.protected = root.protected or component.protected
+        instance.protected = root.protected or slot.protected
         instance.declared_at = component.at
         instance.description = component.description
         self.instances[path] = instance
@@ -289,19 +330,25 @@ class Resolver:
         direction = next(
             (p for p in ("input", "output") if p in component.prefixes | instance.short_prefixes), None
         )
-        if direction is None:
-            direction = next((p for p in ("input", "output") if p in root.prefixes), None)
+        around = next((p for p in ("input", "output") if p in root.prefixes), None)
+        if direction is not None and around is not None:
+            what = f"'{path}' has the prefix {direction}, and what it is part of has the prefix {around}"
+            raise ModelicaError(what, where=component.at)
+        direction = direction or around
         literals: tuple[str, ...] = ()
         if instance.enumeration is not None:
             type_name, literals = "Integer", literal_names(instance.enumeration)
         else:
             type_name = instance.builtin or "Real"
+        if type_name != "Real" or literals:
+            for prefix in sorted(prefixes & {"flow", "stream"}):
+                raise ModelicaError(f"'{path}' has the prefix {prefix}, but is not Real", where=component.at)
         for name, mod in attributes.subs.items():
             if name not in _ATTRIBUTES:
                 raise ModelicaError(
                     f"'{path}' has no attribute '{name}'", where=mod.at, fix=World.suggest(name, _ATTRIBUTES)
                 )
-        protected = root.protected or component.protected
+        protected = root.protected or slot.protected
         is_connector = ref.definition.kind.endswith("connector")
         evaluated = _says(component, "Evaluate") or _says(component, "__Dymola_Evaluate")
         # a constant of a package is a number wherever it is used
@@ -333,7 +380,10 @@ class Resolver:
         value = self.known(self.expr(subscript, scope, {}), subscript.at)
         if isinstance(value, Array | str | dict | tuple) or value is None:
             raise ModelicaError(f"a size is {algebra.kind(value)}", where=subscript.at)
-        return max(algebra.whole(value), 0)
+        size = algebra.whole(value)
+        if size < 0:
+            raise ModelicaError(f"a size is {size}; it cannot be negative", where=subscript.at)
+        return size
 
     def _enumeration_type(self, name: Reference, scope: Instance) -> tuple[tuple[str, str], ...] | None:
         if name.name == "Boolean":
@@ -485,10 +535,13 @@ class Resolver:
         operand = self.expr(e.operand, scope, env)
         if e.operator in ("-", "+") and isinstance(operand, Literal) and not isinstance(operand.value, bool | str):
             return Literal(e.at, -operand.value if e.operator == "-" else operand.value)
-        return Unary(e.at, e.operator, operand)
+        overloaded = self.operators.apply(e.operator, (operand,), scope, e.at)
+        return Unary(e.at, e.operator, operand) if overloaded is None else overloaded
 
     def _expr_binary(self, e: Binary, scope: Instance, env: Env) -> Any:
-        return Binary(e.at, e.operator, self.expr(e.left, scope, env), self.expr(e.right, scope, env))
+        sides = self.expr(e.left, scope, env), self.expr(e.right, scope, env)
+        overloaded = self.operators.apply(e.operator, sides, scope, e.at)
+        return Binary(e.at, e.operator, *sides) if overloaded is None else overloaded
 
     def _expr_if(self, e: If, scope: Instance, env: Env) -> Any:
         branches: list[tuple[Expression, Expression]] = []
@@ -541,16 +594,38 @@ class Resolver:
 
     def _expr_subscripted(self, e: Subscripted, scope: Instance, env: Env) -> Any:
         if isinstance(e.base, Reference) and not e.base.subscripts:
-            *before, last = e.base.parts
-            return self._expr_reference(
-                Reference(e.base.at, (*before, Part(last.name, e.subscripts)), e.base.rooted), scope, env
-            )
+            return self._expr_reference(self._distributed(e.base, e.subscripts, scope, env), scope, env)
         if isinstance(e.base, Foreign):
             inner = Subscripted(e.at, e.base.expression, e.subscripts)
             return self.expr(inner, e.base.scope, {})
         base = self.expr(e.base, scope, env)
         subscripts = self._all(e.subscripts, scope, env)
         return self.pick(e.at, base, subscripts)
+
+    def _distributed(
+        self, e: Reference, subscripts: tuple[Expression, ...], scope: Instance, env: Env
+    ) -> Reference:
+        """Write subscripts of a whole reference at those of its parts that are arrays."""
+        *before, last = e.parts
+        plain = Reference(e.at, (*before, Part(last.name, subscripts)), e.rooted)
+        slot = None if e.parts[0].name in env else self.world.find(scope, e.parts[0].name, e.rooted)
+        if not before or not isinstance(slot, Slot) or not isinstance(slot.element, ComponentDef):
+            return plain
+        if slot.scope.root.function:
+            return plain
+        item = self.item(slot.scope.root, slot.name)
+        parts: list[Part] = []
+        left = subscripts
+        for k, part in enumerate(e.parts):
+            here = len(item.dims) if isinstance(item, Many | Var) and not part.subscripts else 0
+            parts.append(Part(part.name, part.subscripts or left[:here]))
+            left = left[here:]
+            inner = item.items[0] if isinstance(item, Many) and item.items else item
+            if k + 1 < len(e.parts):
+                if not isinstance(inner, Instance) or inner.slot(e.parts[k + 1].name) is None:
+                    return plain
+                item = self.item(inner, e.parts[k + 1].name)
+        return plain if left else Reference(e.at, tuple(parts), e.rooted)
 
     def pick(self, at: Place, base: Expression, subscripts: tuple[Expression, ...]) -> Expression:
         """Select from an expression, immediately if the selected element is known."""
@@ -572,8 +647,7 @@ class Resolver:
     def _expr_field(self, e: Field, scope: Instance, env: Env) -> Any:
         base = e.base
         if isinstance(base, Subscripted) and isinstance(base.base, Reference) and not base.base.subscripts:
-            *before, last = base.base.parts
-            base = Reference(base.at, (*before, Part(last.name, base.subscripts)), base.base.rooted)
+            base = self._distributed(base.base, base.subscripts, scope, env)
         if isinstance(base, Reference) and base.parts[0].name not in env:
             return self._expr_reference(Reference(base.at, (*base.parts, Part(e.name)), base.rooted), scope, env)
         if isinstance(base, If):
@@ -632,17 +706,21 @@ class Resolver:
 
     def _implied(self, name: str, body: Any, scope: Instance, env: Env) -> Expression:
         """Range of a loop without one: the size of the dimension that its variable indexes directly."""
-        for node in walk(body):
-            if isinstance(node, Reference):
-                for k, part in enumerate(node.parts):
-                    for position, subscript in enumerate(part.subscripts):
-                        if isinstance(subscript, Reference) and subscript.name == name:
-                            array = Reference(node.at, (*node.parts[:k], Part(part.name)), node.rooted)
-                            named = self._dimension_range(array, position, scope, env)
-                            if named is not None:
-                                return named
-                            size = Call(node.at, "size", (array, Literal(node.at, position + 1)))
-                            return Range(node.at, Literal(node.at, 1), None, size)
+        found: Expression | None = None
+        for array, position in _indexed(name, body):
+            implied = self._dimension_range(array, position, scope, env)
+            size = Call(array.at, "size", (array, Literal(array.at, position + 1)))
+            if implied is None:
+                implied = Range(array.at, Literal(array.at, 1), None, size)
+            if found is None:
+                found, first = implied, self._size_of(size, scope, env)
+            elif isinstance(first, Literal):
+                other = self._size_of(size, scope, env)
+                if isinstance(other, Literal) and other.value != first.value:
+                    what = f"loop variable '{name}' indexes dimensions of {first.value} and {other.value} elements"
+                    raise ModelicaError(what, where=array.at)
+        if found is not None:
+            return found
         at = body.at if hasattr(body, "at") else body[0].at
         raise ModelicaError(f"loop variable '{name}' has no range, and does not index an array directly", where=at)
 
@@ -697,7 +775,21 @@ class Resolver:
                 return member
             target = member
         root = target.scope.root
+        self._check_outer_has(target, e, position + 1)
         return _Path(self, e, scope, env).walk(self.item(root, target.name), position)
+
+    def _check_outer_has(self, slot: Slot, e: Reference, position: int) -> None:
+        """Refuse an element that the class of an outer component lacks, whatever the inner one has."""
+        effective = slot.effective()
+        element = effective.element
+        if not isinstance(element, ComponentDef) or not element.outer or element.inner or position >= len(e.parts):
+            return
+        ref = self.world.find_class(effective.scope, element.type)
+        declared = self.world.package(ref if ref.slot is None else ref.slot, e.at)
+        name = e.parts[position].name
+        if declared.slot(name) is None and declared.definition.kind != "expandable connector":
+            what = f"'{declared.class_name}', the class of '{slot.name}', has no '{name}'"
+            raise ModelicaError(what, where=e.at)
 
     def _check_use(self, slot: Slot, e: Reference, scope: Instance) -> None:
         """Refuse variables of a class around that of the expression, and conditional components."""
@@ -730,7 +822,7 @@ class Resolver:
                 f"'{'.'.join(p.name for p in e.parts[:position])}' has no '{name}'", where=e.at,
                 fix=World.suggest(name, package.slots),
             )  # fmt: skip
-        check_visible(member, package.class_name, e.at)
+        self.world.check_inside(package, member, e.at)
         return member
 
     def _local(self, e: Reference, scope: Instance, env: Env) -> Reference:
@@ -812,7 +904,7 @@ class Resolver:
         converts = ref.definition.kind in ("type", "builtin") and ref.definition.member("constructor") is None
         if ref.definition.enumeration is not None or converts:
             return self._builtin(replace(e, function="Integer"), scope, env)
-        key = self.function_key(ref, e.at)
+        key = self._constructor_key(ref, e, scope, env) or self.function_key(ref, e.at)
         function = self.functions[key]
         arguments = self._positional(e, [f.name for f in function.inputs], name, scope, env)
         arguments = _with_outside(function, arguments)
@@ -821,6 +913,15 @@ class Resolver:
             used = [by_name[a.name] for a in function.external[1] if isinstance(a, Reference)]
             return Call(e.at, function.external[0].removeprefix("builtin:"), tuple(used))
         return Call(e.at, key, arguments)
+
+    def _constructor_key(self, ref: ClassRef, e: Call, scope: Instance, env: Env) -> str | None:
+        """Key of the constructor of an operator record that fits a call."""
+        if ref.definition.kind != "operator record":
+            return None
+        record = record_of(self.world.package(ref if ref.slot is None else ref.slot, e.at))
+        assert record is not None
+        given = [*self._all(e.arguments, scope, env), *(self.expr(v, scope, env) for _, v in e.named)]
+        return self.operators.construct(record, given, [name for name, _ in e.named], scope)
 
     def _stream(self, e: Call, node: Any) -> Expression:
         """``inStream`` or ``actualStream`` of a stream variable, or of the elements of an array of them."""
@@ -876,7 +977,13 @@ class Resolver:
             item = self.item(target.scope.root, target.name)
             if not isinstance(item, Instance):
                 raise ModelicaError(f"'{reference.name}' is not a function", where=reference.at)
+            component = target.effective().element
+            if isinstance(component, ComponentDef) and component.condition is not None:
+                raise ModelicaError(f"'{target.name}' is conditional, so it may only be used in connections",
+                                    where=reference.at)  # fmt: skip
             target = item.slot(reference.parts[position].name)
+            if target is not None:
+                check_visible(target, item.path or "", reference.at)
         if target is None:
             return None
         if position:
@@ -916,6 +1023,10 @@ class Resolver:
         first = arguments[0] if arguments else None
         if name == "String" and isinstance(first, Literal) and first.name:
             return Literal(e.at, first.name)
+        if name == "String":
+            overloaded = self.operators.apply("String", [a for a in arguments if a is not None], scope, e.at)
+            if overloaded is not None:
+                return overloaded
         return Call(e.at, name, arguments)
 
     def _special(self, e: Call, scope: Instance, env: Env) -> Any:
@@ -959,6 +1070,8 @@ class Resolver:
         node = self.expr(e.arguments[0], scope, env) if len(e.arguments) == 1 else None
         if self.tree is None or not isinstance(node, Reference):
             raise ModelicaError("cardinality() is not allowed here", where=e.at)
+        if node.name in self.vars and self.vars[node.name].connector is None:
+            raise ModelicaError(f"cardinality() of '{node.name}', which is not a connector", where=e.at)
         return Literal(e.at, self.connected.get(node.name, 0))
 
     def _dims(self, e: Reference, scope: Instance, env: Env) -> tuple[int, ...] | None:
@@ -992,6 +1105,8 @@ class Resolver:
 
     def function_key(self, ref: ClassRef, at: Place) -> str:
         """Name of a flat function, which is made if necessary."""
+        if ref.definition.kind == "class" and ref.definition.short is not None:
+            raise ModelicaError(f"'{ref.definition.path}' is a class, not a function", where=at)
         ref = self.world.plain(ref)
         memo = (id(ref.definition), id(ref.parent), id(ref.slot) if ref.mod.subs else 0)
         if memo in self._function_keys:
@@ -1013,7 +1128,7 @@ class Resolver:
             assert inner is not None
             instance = Instance(self.world, inner.definition, inner.parent, inner.mod)
             self.functions[key] = self._function(key, instance)
-        elif instance.is_kind("record"):
+        elif instance.is_kind("record", "operator record"):
             self.functions[key] = self._constructor(key, instance)
         elif instance.function or any(b.function for b in instance.all_bases()):
             if ref.definition.partial:
@@ -1052,7 +1167,7 @@ class Resolver:
             type_name = instance.builtin
         elif instance.enumeration is not None:
             type_name = "Integer"
-        elif instance.is_kind("record"):
+        elif instance.is_kind("record", "operator record"):
             type_name = "record"
             instance.function = True
             fields = tuple(formal for _, _, formal in self._formals(instance))
@@ -1084,6 +1199,7 @@ class Resolver:
                 what = f"'{formal.name}' in a function must be an input, an output or protected"
                 raise ModelicaError(what, where=component.at)
             target.append(formal)
+        self.operators.signatures[key] = self._signature(instance, inputs, outputs)
         # a function that calls itself needs its own arguments
         self.functions[key] = Function(key, instance.definition.at, tuple(inputs), tuple(outputs), (), ())
         external = None
@@ -1110,6 +1226,12 @@ class Resolver:
             key, instance.definition.at, tuple(inputs), tuple(outputs), tuple(inner), body, external, False, pure
         )
 
+    def _signature(self, instance: Instance, inputs: Sequence[Formal], outputs: Sequence[Formal]) -> Signature:
+        kinds = [self.operators.formal(instance.slots[f.name]) for f in (*inputs, *outputs[:1])]
+        needed = sum(f.default is None for f in inputs)
+        result = kinds.pop() if outputs else Kind(None)
+        return Signature(tuple(kinds), tuple(f.name for f in inputs), needed, result)
+
     def _prefixes_of_type(self, slot: Slot) -> frozenset[str]:
         """Prefixes in the definition of a component's type, as in ``type T = input Real``."""
         assert isinstance(slot.element, ComponentDef)
@@ -1123,6 +1245,8 @@ class Resolver:
         for component, slot, formal in self._formals(instance):
             closed = component.final or slot.mod.final or component.protected or "constant" in component.prefixes
             (fixed if closed else inputs).append(formal)
+        result = self.operators.kind_of_class(instance)
+        self.operators.signatures[key] = self._signature(instance, inputs, ())._replace(result=result)
         return Function(key, instance.definition.at, tuple(inputs), (), tuple(fixed), (), None, True)
 
     # ---- statements
@@ -1198,7 +1322,10 @@ class Resolver:
             values = self._implied(name, s.body, scope, env) if bounds is None else bounds
             if isinstance(values, Reference) and values.parts[0].name not in inner:
                 values = self._type_range(values, scope) or values
-            iterators.append((name, self.expr(values, scope, inner)))
+            flat = self.expr(values, scope, inner)
+            if isinstance(flat, Literal):
+                raise ModelicaError(f"the range of '{name}' is a scalar, not an array", where=flat.at)
+            iterators.append((name, flat))
             inner[name] = None
         return ForStatement(s.at, tuple(iterators), self.statements(s.body, scope, inner))
 
@@ -1212,7 +1339,7 @@ class Resolver:
 def _check_type(path: str, component: ComponentDef, ref: ClassRef, root: Instance) -> None:
     """Refuse a component whose class cannot be instantiated."""
     kind, name = ref.definition.kind, ref.definition.path
-    if ref.definition.partial and not component.outer and kind not in ("type", "record"):
+    if ref.definition.partial and not component.outer and kind != "type":
         raise ModelicaError(
             f"'{path}' is of the partial class '{name}'",
             where=component.at,
@@ -1259,6 +1386,12 @@ class _Path:
         subscripts = resolver._all(part.subscripts, self._scope, self._env)
         if len(subscripts) > len(item.dims):
             raise ModelicaError(f"'{item.name}' has {len(item.dims)} dimensions", where=e.at)
+        for subscript, size in zip(subscripts, item.element.subscripts, strict=False):
+            number = isinstance(subscript, Literal) and isinstance(subscript.value, int) and not subscript.literals
+            if number and isinstance(size, Reference) and resolver._type_range(size, item.slot.scope) is not None:
+                if isinstance(subscript.value, bool) and size.name == "Boolean":
+                    continue
+                raise ModelicaError(f"'{item.name}' has a dimension of {size.name}, not of numbers", where=e.at)
         if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):
             return resolver.pick(e.at, resolver.constant(item), subscripts)
         if item.owner.path is None:
@@ -1386,8 +1519,11 @@ class _Known:
     def terminal(self) -> SX:
         return SX.sym("terminal")
 
-    def delay(self, value: Any, *rest: Any) -> Any:
+    def delay(self, value: Any, time: Any) -> Any:
         return SX.sym("delay")
+
+    def is_fixed(self, value: SX) -> bool:
+        return True
 
 
 def _in_package(instance: Instance) -> bool:
@@ -1418,8 +1554,18 @@ def literal_names(enumeration: ClassDef | None) -> tuple[str, ...]:
 
 def check_visible(slot: Slot, owner: str, at: Place) -> None:
     """Refuse a protected element that is named from outside."""
-    if slot.element.protected:
+    if slot.protected:
         raise ModelicaError(f"'{slot.name}' is protected in '{owner}'", where=at)
+
+
+def _indexed(name: str, body: Any) -> Iterator[tuple[Reference, int]]:
+    """Yield the arrays, and their dimensions, that a loop variable indexes directly."""
+    for node in walk(body):
+        if isinstance(node, Reference):
+            for k, part in enumerate(node.parts):
+                for position, subscript in enumerate(part.subscripts):
+                    if isinstance(subscript, Reference) and subscript.name == name:
+                        yield Reference(node.at, (*node.parts[:k], Part(part.name)), node.rooted), position
 
 
 def _has_local(tree: Any, env: Env) -> bool:

@@ -96,6 +96,7 @@ int solve_loop(Instance *me, double t, const double *x, const double *u) {
 void input_at(Instance *me, double t) {
     const Step *step = &me->s.step;
     for (int i = 0; i < NU; i++) me->ut[i] = step->u[i] + step->du[i] * (t - step->u_time);
+    delayed_at(me, t, me->ut, NULL);
 }
 
 int right_hand_side(Instance *me, double t, const double *x, double *dx) {
@@ -144,8 +145,10 @@ int linearise(Instance *me, double t, const double *x) {
     me->res[2] = me->by_time;
     if (CALL(jacobian)) return 1;
 
-    const double *du = me->s.step.du;
+    double du[LENGTH(NU)];
     int ramp = 0;
+    memcpy(du, me->s.step.du, sizeof du);
+    delayed_at(me, t, me->ut, du);
     for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
     if (ramp) {
         Direction s = {.x = {0}};
@@ -278,6 +281,29 @@ int derivatives_along(Instance *me, double t, const double *x, const double *u, 
     me->res[0] = s->dx;
     return CALL(partials);
 }
+
+#if MODEL_NDELAY > 0
+/* Values of what is delayed, and their slopes along the motion with inputs of slopes du. */
+int delayed_expressions(Instance *me, double t, const double *x, const double *u, const double *du, double *value,
+                        double *slope) {
+    Direction s = {.t = 1.0};
+    memcpy(s.u, du, sizeof s.u);
+    if (solve_loop(me, t, x, u)) return 1;
+    environment_at(me, &t, x, u);
+    me->res[0] = s.x;
+    if (CALL(derivatives)) return 1;
+    environment_at(me, &t, x, u);
+    double both[2 * NDELAY];
+    me->res[0] = both;
+    if (CALL(delayed) || loops_along(me, t, x, u, &s)) return 1;
+    memcpy(value, both, NDELAY * sizeof *value);
+    environment_along(me, &t, x, u, &s, 9);
+    me->res[0] = both;
+    if (CALL(delayed_partials)) return 1;
+    memcpy(slope, both, NDELAY * sizeof *slope);
+    return 0;
+}
+#endif
 
 /* The same of v, into s->v; s->y is that of `derivatives_along` at the same point. */
 int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s) {

@@ -200,9 +200,8 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
-    (void)FMUstate;
     IN(ANY);
-    *size = serialised_size();
+    *size = serialised_size(FMUstate);
     return fmi2OK;
 }
 
@@ -227,8 +226,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2EnterEventMode(fmi2Component c) {
     IN(PHASE_EVENT | PHASE_CONTINUOUS);
-    me->s.phase = PHASE_EVENT;
-    return fmi2OK;
+    return failed(me, enter_event_mode(me));
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
@@ -247,8 +245,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     IN(PHASE_EVENT);
-    me->s.phase = PHASE_CONTINUOUS;
-    return fmi2OK;
+    return failed(me, enter_continuous_mode(me));
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
@@ -257,13 +254,12 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
     IN(PHASE_CONTINUOUS);
     *enterEventMode = fmi2False;
     *terminateSimulation = fmi2False;
-    return failed(me, check_assertions(me));
+    return failed(me, completed_step(me));
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     IN(PHASE_EVENT | PHASE_CONTINUOUS);
-    me->s.t = time;
-    me->s.have_dx = me->s.have_v = 0;
+    set_time(me, time);
     return fmi2OK;
 }
 

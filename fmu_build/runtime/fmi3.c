@@ -306,9 +306,8 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state) {
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size) {
-    (void)state;
     IN(ANY);
-    *size = serialised_size();
+    *size = serialised_size(state);
     return fmi3OK;
 }
 
@@ -343,8 +342,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
 
 fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
     IN(PHASE_EVENT | PHASE_CONTINUOUS);
-    me->s.phase = PHASE_EVENT;
-    return fmi3OK;
+    return failed(me, enter_event_mode(me));
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
@@ -371,8 +369,7 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
     IN(PHASE_EVENT);
-    me->s.phase = PHASE_CONTINUOUS;
-    return fmi3OK;
+    return failed(me, enter_continuous_mode(me));
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
@@ -381,13 +378,12 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetF
     IN(PHASE_CONTINUOUS);
     *enterEventMode = fmi3False;
     *terminateSimulation = fmi3False;
-    return failed(me, check_assertions(me));
+    return failed(me, completed_step(me));
 }
 
 fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
     IN(PHASE_EVENT | PHASE_CONTINUOUS);
-    me->s.t = time;
-    me->s.have_dx = me->s.have_v = 0;
+    set_time(me, time);
     return fmi3OK;
 }
 

@@ -81,7 +81,7 @@ static Status solve_start(Instance *me) {
 }
 
 /* Dependent parameters, start values, initial equations and the first event iteration, from what has been set. */
-Status initialise(Instance *me) {
+static Status initialise_once(Instance *me) {
     State *s = &me->s;
     double xs[LENGTH(NX)] = {0};
     s->t = s->start_time;
@@ -132,6 +132,20 @@ Status initialise(Instance *me) {
             status = report(me, STATUS_ERROR, "t = %.9g: the start value of %s is not finite", s->t, name[i]);
         }
     if (status <= STATUS_WARNING) status = whole_numbers(me);
-    if (status <= STATUS_WARNING) s->initialised = 1;
+    return status;
+}
+
+/* The same until the values of delay() are those that they delay. */
+Status initialise(Instance *me) {
+    int settled = NDELAY == 0;
+    Status status = initialise_once(me);
+    for (int round = 0; round < 100 && status <= STATUS_WARNING; round++) {
+        if (round > 0) status = initialise_once(me);
+        if (status <= STATUS_WARNING) status = begin_past(me, &settled);
+        if (settled) break;
+    }
+    if (status <= STATUS_WARNING && !settled)
+        status = report(me, STATUS_ERROR, "t = %.9g: the values of delay() do not settle at initialisation", me->s.t);
+    if (status <= STATUS_WARNING) me->s.initialised = 1;
     return status;
 }

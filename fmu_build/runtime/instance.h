@@ -13,6 +13,7 @@
 #include "switches.h"
 
 enum { NX = MODEL_NX, NU = MODEL_NU, NP = MODEL_NP, ND = MODEL_ND, NZ = MODEL_NZ };
+enum { NDELAY = MODEL_NDELAY, NIN = NU - NDELAY }; /* the values of delay() follow the inputs in u */
 enum { NM = MODEL_NM, NY = MODEL_NY, NV = MODEL_NV, STAGES = 8 };
 #define LENGTH(n) ((n) > 0 ? (n) : 1)
 #define LARGER(a, b) ((a) > (b) ? (a) : (b))
@@ -45,6 +46,14 @@ typedef struct {
     long steps, rejections;
 } Step;
 
+/* The past of what is delayed, from `until` backwards; its pieces are in Instance. */
+typedef struct {
+    size_t first_row, rows;
+    double until, event;                        /* how far it reaches; time of the last event */
+    double time[LENGTH(NDELAY)], at_start[LENGTH(NDELAY)], size[LENGTH(NDELAY)];
+    double x[LENGTH(NX)], dx[LENGTH(NX)], u[LENGTH(NU)]; /* at `until`, in model exchange */
+} Memory;
+
 typedef struct {
     int phase, is_co_simulation, stop_defined;
     int initialised;  /* x, z, ... follow from what was set before the simulation */
@@ -64,6 +73,9 @@ typedef struct {
     double event_time;        /* of the last event inside a step */
     int chatter, widened;     /* events in a row about a threshold; how often their width was doubled */
     Step step;
+#if MODEL_NDELAY > 0
+    Memory memory;
+#endif
 } State;
 
 typedef struct Instance Instance;
@@ -97,6 +109,10 @@ struct Instance {
         double work[3][2 * (NX + NY) + 1];
         int pivot[3][LENGTH(NX + NY)];
     } factors; /* what Factors point to */
+#if MODEL_NDELAY > 0
+    double *remembered; /* pieces of the past, and room for so many */
+    size_t room;
+#endif
     Listener listener;
     char *name;
     int logging;
@@ -166,6 +182,31 @@ Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me, double from, double to, int samples);
 void watch_chattering(Instance *me);
 
+/* delays.c */
+#if MODEL_NDELAY > 0
+void delayed_at(const Instance *me, double t, double *u, double *du);
+double next_delayed_event(const Instance *me);
+Status remember(Instance *me, double t);
+Status remember_point(Instance *me);
+Status pass_delays(Instance *me);
+Status begin_past(Instance *me, int *settled);
+size_t memory_size(const Instance *me);
+void copy_memory(const Instance *me, char *to);
+Status restore_memory(Instance *me, const char *from);
+int delayed_expressions(Instance *me, double t, const double *x, const double *u, const double *du, double *value,
+                        double *slope);
+#else
+#define delayed_at(me, t, u, du) ((void)0)
+#define next_delayed_event(me) INFINITY
+#define remember(me, t) STATUS_OK
+#define remember_point(me) STATUS_OK
+#define pass_delays(me) STATUS_OK
+#define begin_past(me, settled) STATUS_OK
+#define memory_size(me) ((size_t)0)
+#define copy_memory(me, to) ((void)0)
+#define restore_memory(me, from) STATUS_OK
+#endif
+
 /* dense_output.c */
 void dense_output(const Step *step, double t, double *x);
 
@@ -188,6 +229,10 @@ Status set_experiment(Instance *me, int tolerance_defined, double tolerance, dou
                       double stop);
 Status start_simulation(Instance *me);
 Status update_discrete_states(Instance *me, int *states_changed);
+Status enter_event_mode(Instance *me);
+Status enter_continuous_mode(Instance *me);
+Status completed_step(Instance *me);
+void set_time(Instance *me, double t);
 
 /* sensitivity.c, sensitivity_rare.c */
 int has_sensitivities(const Instance *me);
@@ -214,7 +259,7 @@ Instance *new_instance(const char *name, const char *guid, const char *resources
 void free_instance(Instance *me);
 Status copy_state(const Instance *me, void **copy);
 Status restore_state(Instance *me, const void *copy);
-size_t serialised_size(void);
+size_t serialised_size(const void *state);
 Status serialise(const Instance *me, const void *state, char *bytes, size_t size);
 Status deserialise(const Instance *me, const char *bytes, size_t size, void **state);
 Status set_states(Instance *me, const double *x, size_t n);

@@ -180,7 +180,8 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (s->stop_defined && s->stop_time >= target) limit = fmin(limit, s->stop_time);
     if (step->fresh || exact) limit = fmin(limit, target);
     step->event = 0;
-    const Status status = advance_sensitivities(me, t, 0);
+    Status status = advance_sensitivities(me, t, 0);
+    if (status <= STATUS_WARNING) status = remember(me, t);
     if (status > STATUS_WARNING) return status;
     memcpy(step->x0, step->x1, sizeof step->x0);
     step->t0 = t;

@@ -45,33 +45,39 @@ void free_instance(Instance *me) {
     free_pivoted(&me->lu_step.other);
     free_pivoted(&me->lu_loop.other);
     free_pivoted(&me->lu_start.other);
+#if MODEL_NDELAY > 0
+    free(me->remembered);
+#endif
     free(me->name);
     free(me);
 }
 
-/* A copy of the complete state: this, and the sensitivities behind it. */
+/* A copy of the complete state: this, and behind it the sensitivities and what delay() remembers. */
 typedef struct {
     State s;
-    size_t sensitivities; /* bytes */
+    size_t sensitivities, memory; /* bytes */
 } Copy;
 
-static Status make_room(const Instance *me, void **copy, size_t sensitivities) {
-    if (*copy && ((Copy *)*copy)->sensitivities != sensitivities) {
-        free(*copy);
+static Status make_room(const Instance *me, void **copy, size_t sensitivities, size_t memory) {
+    Copy *old = *copy;
+    if (old && (old->sensitivities != sensitivities || old->memory != memory)) {
+        free(old);
         *copy = NULL;
     }
-    if (!*copy) *copy = malloc(sizeof(Copy) + sensitivities);
+    if (!*copy) *copy = malloc(sizeof(Copy) + sensitivities + memory);
     if (!*copy) return report(me, STATUS_ERROR, "no memory for an FMU state");
     ((Copy *)*copy)->sensitivities = sensitivities;
+    ((Copy *)*copy)->memory = memory;
     return STATUS_OK;
 }
 
 Status copy_state(const Instance *me, void **copy) {
-    const Status status = make_room(me, copy, sensitivities_size(me));
+    const Status status = make_room(me, copy, sensitivities_size(me), memory_size(me));
     if (status != STATUS_OK) return status;
     Copy *to = *copy;
     memcpy(&to->s, &me->s, sizeof(State));
     if (to->sensitivities > 0) copy_sensitivities(me, (char *)(to + 1));
+    copy_memory(me, (char *)(to + 1) + to->sensitivities);
     return STATUS_OK;
 }
 
@@ -82,28 +88,35 @@ Status restore_state(Instance *me, const void *copy) {
     if (from->sensitivities != own || (own > 0 && restore_sensitivities(me, (const char *)(from + 1))))
         return report(me, STATUS_ERROR, "the FMU state has not these sensitivities: reset instead");
     memcpy(&me->s, &from->s, sizeof(State));
-    return STATUS_OK;
+    return restore_memory(me, (const char *)(from + 1) + own);
 }
 
-/* Serialised: the GUID, so that another model's state is refused, and the bytes of State (this platform's). */
-size_t serialised_size(void) { return sizeof MODEL_GUID + sizeof(State); }
+/* Serialised: the GUID, so that another model's state is refused, the bytes of State (this platform's), and the past. */
+size_t serialised_size(const void *state) {
+    return sizeof MODEL_GUID + sizeof(State) + (state ? ((const Copy *)state)->memory : 0);
+}
 
 Status serialise(const Instance *me, const void *state, char *bytes, size_t size) {
-    if (!state || size < serialised_size())
+    if (!state || size < serialised_size(state))
         return report(me, STATUS_ERROR, "the buffer for the FMU state is too small or there is no state");
     memcpy(bytes, MODEL_GUID, sizeof MODEL_GUID);
     const Copy *from = state;
     if (from->sensitivities > 0) return report(me, STATUS_ERROR, "a state with sensitivities cannot be serialised");
     memcpy(bytes + sizeof MODEL_GUID, &from->s, sizeof(State));
+    memcpy(bytes + sizeof MODEL_GUID + sizeof(State), from + 1, from->memory);
     return STATUS_OK;
 }
 
 Status deserialise(const Instance *me, const char *bytes, size_t size, void **state) {
-    if (size < serialised_size() || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0)
+    if (size < serialised_size(NULL) || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0)
         return report(me, STATUS_ERROR, "these bytes are not a state of this FMU");
-    const Status status = make_room(me, state, 0);
-    if (status == STATUS_OK) memcpy(&((Copy *)*state)->s, bytes + sizeof MODEL_GUID, sizeof(State));
-    return status;
+    const size_t memory = size - serialised_size(NULL);
+    const Status status = make_room(me, state, 0, NDELAY > 0 ? memory : 0);
+    if (status != STATUS_OK) return status;
+    Copy *to = *state;
+    memcpy(&to->s, bytes + sizeof MODEL_GUID, sizeof(State));
+    memcpy(to + 1, bytes + sizeof MODEL_GUID + sizeof(State), to->memory);
+    return STATUS_OK;
 }
 
 static Status check_length(const Instance *me, size_t n, size_t expected, const char *what) {

@@ -197,6 +197,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     if (!me) return STATUS_ERROR;
     if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
         return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
+    if (NDELAY > 0) return report(me, STATUS_ERROR, "sensitivities do not follow delay(); use finite differences");
     for (size_t i = 0; i < n_parameters; i++) {
         Direction s;
         double start[LENGTH(NX)];

@@ -11,7 +11,7 @@ static const int MAX_EVENTS = 1000;    /* without progress in time */
 /* Brings what `vector` holds up to date at the current point. */
 static Status refresh(Instance *me, Vector vector) {
     State *s = &me->s;
-    if (vector == VECTOR_T || vector == VECTOR_U || vector == VECTOR_P || vector == VECTOR_CONSTANT) return STATUS_OK;
+    if (vector == VECTOR_T || (vector == VECTOR_U && NDELAY == 0) || vector == VECTOR_P || vector == VECTOR_CONSTANT) return STATUS_OK;
     if (s->phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION) && !s->initialised) {
         const Status status = initialise(me);
         if (status > STATUS_WARNING) return status;
@@ -120,7 +120,7 @@ static int input_changed(Instance *me) {
     State *s = &me->s;
     const Step *step = &s->step;
     int changed = 0;
-    for (int i = 0; i < NU; i++) {
+    for (int i = 0; i < NIN; i++) {
         /* A value set without a slope at this point is held. */
         if (s->u_set[i] && !s->du_set[i]) s->du[i] = 0.0;
         const double along = step->du[i] * (s->t - step->u_time), expected = step->u[i] + along;
@@ -144,20 +144,48 @@ Status update_discrete_states(Instance *me, int *states_changed) {
     double x[LENGTH(NX)];
     memcpy(x, s->x, sizeof x);
     s->t = at_time_event(s, s->t);
-    const Status status = event_iteration(me, 0);
+    Status status = pass_delays(me);
+    if (status <= STATUS_WARNING) status = event_iteration(me, 0);
     *states_changed = memcmp(x, s->x, sizeof x) != 0;
     return status;
 }
 
+/* What model exchange calls besides: the ends of steps and of events. */
+Status enter_event_mode(Instance *me) {
+    const Status status = me->s.phase == PHASE_CONTINUOUS ? remember(me, me->s.t) : STATUS_OK;
+    me->s.phase = PHASE_EVENT;
+    return status;
+}
+
+Status enter_continuous_mode(Instance *me) {
+    me->s.phase = PHASE_CONTINUOUS;
+    return remember_point(me);
+}
+
+Status completed_step(Instance *me) {
+    Status status = remember(me, me->s.t);
+    if (status <= STATUS_WARNING) status = remember_point(me);
+    return status <= STATUS_WARNING ? check_assertions(me) : status;
+}
+
+void set_time(Instance *me, double t) {
+    me->s.t = t;
+    me->s.have_dx = me->s.have_v = 0;
+    delayed_at(me, t, me->s.u, NULL);
+}
+
 /* Moves on to time t, the inputs along their slopes. */
-static void move_to(State *s, double t) {
-    for (int i = 0; i < NU; i++) s->u[i] += s->du[i] * (t - s->t);
+static void move_to(Instance *me, double t) {
+    State *s = &me->s;
+    for (int i = 0; i < NIN; i++) s->u[i] += s->du[i] * (t - s->t);
     s->t = t;
+    delayed_at(me, t, s->u, NULL);
 }
 
 /* The event iteration at the present point, `inside` a step or else between two; the integration starts anew. */
 static Status pass_event(Instance *me, int inside) {
     Status status = enter_event(me, inside);
+    if (status <= STATUS_WARNING) status = pass_delays(me);
     if (status <= STATUS_WARNING) status = event_iteration(me, 0);
     if (status <= STATUS_WARNING) status = leave_event(me);
     restart_integration(me);
@@ -168,7 +196,7 @@ static Status handle_event(Instance *me) {
     State *s = &me->s;
     watch_chattering(me);
     dense_output(&s->step, s->step.t1, s->x);
-    move_to(s, at_time_event(s, s->step.t1));
+    move_to(me, at_time_event(s, s->step.t1));
     return pass_event(me, 1);
 }
 
@@ -222,7 +250,7 @@ Status do_step(Instance *me, double t, double h) {
             return report(me, STATUS_ERROR, "t = %.9g: more than %ld integration steps", step->t1, MAX_STEPS);
     }
     if (!s->terminate) {
-        move_to(s, target);
+        move_to(me, target);
         dense_output(step, target, s->x);
     }
     s->have_dx = s->have_v = 0;

@@ -151,7 +151,7 @@ def compile_by_hand(
     }
     lengths = {"X": nx, "U": nu, "P": np_, "D": nd, "Z": nz, "M": nm, "Y": ny, "V": nv, "ASSERT": len(asserts)}
     sizes = {f"N{letter}": n for letter, n in lengths.items()}
-    sizes |= {"HAS_EVENTS": int(bool(update or relations)), "HAS_INITIAL": 0}
+    sizes |= {"HAS_EVENTS": int(bool(update or relations)), "HAS_INITIAL": 0, "NDELAY": 0}
     files = c_files(
         made,
         Header(
