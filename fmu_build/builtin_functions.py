@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from math import prod
-from typing import Protocol
+from typing import Any, Protocol
 
 from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, UnknownSizeError, Value, whole
@@ -69,7 +70,10 @@ def _extreme(function: Callable[..., Scalar]) -> Callable[..., Value]:
 
 def _fill(value: Value, *shape: Value) -> Value:
     sizes = tuple(whole(n) for n in shape)
-    return Array.fill(sizes, algebra.scalars(value)[0])
+    if isinstance(value, Array):
+        return Array((*sizes, *value.shape), value.items * math.prod(sizes))
+    item: Any = value if isinstance(value, str) else algebra.scalars(value)[0]
+    return Array.fill(sizes, item)
 
 
 def _identity(e: Operators, n: Value) -> Value:
@@ -203,7 +207,7 @@ BUILTIN: dict[str, Callable[..., Value]] = {
 STEPS = frozenset(("floor", "integer", "ceil", "div", "mod", "rem"))
 SUPPORTED = frozenset(
     (*BUILTIN, *STEPS, *algebra.FUNCTIONS, "noEvent", "smooth", "homotopy", "size", "pre", "edge", "change")
-)
+) | {"array"}
 UNSUPPORTED = frozenset(
     ("spatialDistribution", "inStream", "actualStream", "rooted", "previous",
      "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",

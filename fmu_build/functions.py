@@ -151,7 +151,7 @@ class Functions:
                 row = list(arguments)
                 for k, shape in enumerate(shapes):
                     if shape == outer:
-                        row[k] = _element(arguments[k], number, math.prod(outer))
+                        row[k] = _element(arguments[k], number, outer)
                 parts.append(self._vectorised(function, row))
             return _stacked(outer, parts)
         if self._depth > 50:
@@ -528,18 +528,15 @@ def _outer_shape(formal: Formal, actual: Value) -> tuple[int, ...] | None:
     return _outer_shape(replace(field, shape=()), value)
 
 
-def _element(value: Value, number: int, count: int) -> Value:
-    """One of `count` elements of an array, or of an array of records, which is a record of arrays."""
+def _element(value: Value, number: int, outer: tuple[int, ...]) -> Value:
+    """One element of an array, or of an array of records, which is a record of arrays."""
     if isinstance(value, dict):
-        return {name: _element(part, number, count) for name, part in value.items()}
+        return {name: _element(part, number, outer) for name, part in value.items()}
     if not isinstance(value, Array):
         return value
-    size = len(value.items) // count
+    shape = value.shape[len(outer) :]
+    size = math.prod(shape)
     items = value.items[number * size : (number + 1) * size]
-    shape, total = value.shape, 1
-    while total < count:
-        total *= shape[0]
-        shape = shape[1:]
     return Array(shape, items) if shape else items[0]
 
 

@@ -362,6 +362,9 @@ class _Flattener:
                 sink.whens.append(self._when(item, scope, env))
             case Assert():
                 sink.asserts.append(self._assert(item, scope, env))
+            case AssignMany() if sink is self.sink or sink is self.initial:  # for the assertions of the function
+                target = self.algorithms if sink is self.sink else self.initial_algorithms
+                target.append(Algorithm(self.resolver.statements((item,), scope, env), origin, item.at))
             case _:
                 raise ModelicaError(_no_equation(item), where=item.at)
 

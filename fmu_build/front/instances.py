@@ -523,6 +523,9 @@ def _misfit(instance: Instance, bound: Instance) -> str | None:
     return None
 
 
+_WITHOUT_MEANING = ("description", "annotation", "outside", "path", "loader", "folder", "_parse")
+
+
 def _same(a: Any, b: Any) -> bool:
     """Whether two parts of the source say the same, wherever they are."""
     if type(a) is not type(b):
@@ -532,7 +535,7 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, tuple | list):
         return len(a) == len(b) and all(map(_same, a, b))
     if is_dataclass(a):
-        names = [f.name for f in fields(a) if f.name not in ("outside", "path", "loader", "folder", "_parse")]
+        names = [f.name for f in fields(a) if f.name not in _WITHOUT_MEANING]
         return all(_same(getattr(a, name), getattr(b, name)) for name in names)
     return bool(a == b)
 

@@ -1021,6 +1021,8 @@ class Resolver:
         else:
             arguments = self._all(e.arguments, scope, env)
         first = arguments[0] if arguments else None
+        if name == "array":
+            return ArrayOf(e.at, tuple(a for a in arguments if a is not None))
         if name == "String" and isinstance(first, Literal) and first.name:
             return Literal(e.at, first.name)
         if name == "String":

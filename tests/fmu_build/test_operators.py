@@ -58,6 +58,7 @@ VALUES = {
     "Z a[2] = {Z(1, 2), Z(3, 4)}; Z b[2] = a + {1, time};": {"b[2].re": 3.5, "b[1].im": 2.0},
     "Z a[2] = {Z(1, 2), Z(3, 4)}; Z b = a*a;": {"b.re": -3.0 - 7.0, "b.im": 4.0 + 24.0},
     "Z a[2] = fill(Z(1, 2), 2); Z b[2] = a.*a;": {"b[1].re": -3.0, "b[2].im": 4.0},
+    "Z a[1] = {Z(1, 2)}; Z b[1] = a + {Z(time)};": {"b[1].re": 1.5, "b[1].im": 2.0},
     "Z a[2]; equation a - fill(Z(1, 2), 2) = fill(Z(0), 2);": {"a[2].re": 1.0, "a[1].im": 2.0},
     "Source s; Resistor r; Ground g; equation connect(s.p, r.p); connect(r.n, g.p);": {"r.p.i.re": 2.5, "r.p.i.im": 1.5},
 }  # fmt: skip

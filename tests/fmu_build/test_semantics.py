@@ -320,6 +320,21 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
             "sl": -10, "hom": 3, "sm": 2.5, "ne": 7, "fromInitial": 7.5, "initAlg": 10, "dx": -18, "sq": 9,
         },
     ),
+    # specification 10.3, 12.4: arrays of arrays, calls without results, subscripts of slices
+    "calls": (
+        """
+        function check input Real u; algorithm assert(u > 0, "negative"); end check;
+        function none input Real u; protected Real v; algorithm v := u; end none;
+        model A Real v = 1; end A;
+        model B A a[2](v = {3, 4}); end B;
+        model M
+          parameter Real p = 2; Real f[3, 2] = fill({1, p}, 3); Real a[2] = array(p, 5);
+          parameter String names[:] = fill("", 0); B b; Real w[2] = 2*b.a.v; parameter Integer n = size(names, 1);
+        equation check(p); none(p);
+        end M;
+        """,
+        {"f[3,2]": 2, "f[1,1]": 1, "a[1]": 2, "a[2]": 5, "w[2]": 8, "n": 0},
+    ),
 }  # fmt: skip
 
 # Values of discrete variables after events at the times; in between nothing happens.
