@@ -41,6 +41,14 @@ struct Sensitivity {
     Pivoted *other;                             /* of the whole matrix, where the planned pivots will not do ... */
     int use_other;                              /* ... as in the last piece */
     double work[2 * BLOCK * N + 1];
+#if MODEL_NDELAY > 0
+    /* How the past moved: pieces with their ends, the motion of their beginning where that is an event (n), and each
+     * delayed expression at four times in equal distances (4 rows of n). */
+    struct {
+        double *rows, *start, *time, *event; /* NDELAY rows of n: at the start; of the delays; n: of the last event */
+        size_t first, count, room;
+    } past;
+#endif
 };
 
 static const Pattern PATTERN_BLOCKS = PATTERN(J);
@@ -60,10 +68,33 @@ static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; 
     for (size_t first = 0, end; end = first + SLICE < (q)->n ? first + SLICE : (q)->n, first < (q)->n; first = end)       \
         if ((q)->live[first / SLICE])
 
-/* The derivative of input i along direction j at time t. */
-static inline double input_move(const Drive *a, size_t n, int i, size_t j, double t) {
+/* The derivative of input i along direction j at time t; of one that is delayed, from its past. */
+static inline double driven_move(const Drive *a, size_t n, int i, size_t j, double t) {
     return a->seeds[i * n + j] + a->rates[i * n + j] * (t - a->t);
 }
+#if MODEL_NDELAY > 0
+double past_move(const Instance *me, int k, size_t j, double t, int after);
+#define input_move(me, i, j, t)                                                                                    \
+    ((i) < NIN ? driven_move(&(me)->sensitivity->drive, (me)->sensitivity->n, i, j, t)                             \
+               : past_move(me, (i) - NIN, j, t, (t) <= (me)->s.memory.event))
+int start_past_moves(Instance *me);
+Status record_past_moves(Instance *me, double from, double to, void (*at)(const struct Sensitivity *, double, double *));
+void past_event_moves(Instance *me);
+void move_past_jumps(Instance *me);
+void remember_event_moves(Instance *me);
+size_t past_moves_size(const struct Sensitivity *q);
+void copy_past_moves(const struct Sensitivity *q, char *to);
+int restore_past_moves(struct Sensitivity *q, const char *from);
+#else
+#define input_move(me, i, j, t) driven_move(&(me)->sensitivity->drive, (me)->sensitivity->n, i, j, t)
+#define start_past_moves(me) 1
+#define record_past_moves(me, from, to, at) STATUS_OK
+#define past_event_moves(me) ((void)0)
+#define move_past_jumps(me) ((void)0)
+#define remember_event_moves(me) ((void)0)
+#define past_moves_size(q) ((size_t)0)
+#define copy_past_moves(q, to) ((void)0)
+#endif
 
 /* pivoted_blocks.c: the factorisation with pivots chosen by size, and the solution by it. */
 int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]);

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "instance.h"
+#include "collocation.h"
 
 #if MODEL_NDELAY > 0
 enum { ROW = 2 + 4 * NDELAY, DEEPEST = 12 };
@@ -49,6 +49,31 @@ void delayed_at(const Instance *me, double t, double *u, double *du) {
     }
 }
 
+/* The slope of a delayed value. */
+double delayed_slope(const Instance *me, int k, double t, int after) {
+    const double then = t - me->s.memory.time[k], *piece = piece_at(me, then, after);
+    double slope = 0.0;
+    if (piece) in_piece(piece, k, fmin(fmax(then, piece[0]), piece[1]), &slope);
+    return slope;
+}
+
+static int jumps(const double *before, const double *after, int k) {
+    const double a = before[2 + 4 * k + 1], b = after[2 + 4 * k];
+    return fabs(a - b) > 1e-12 * fmax(fabs(a), fabs(b));
+}
+
+/* The expression that jumped, and when, so that it does now after its delay; -1: none. */
+int jump_due(const Instance *me, double *past) {
+    const State *s = &me->s;
+    for (size_t i = 1; i < s->memory.rows; i++)
+        for (int k = 0; k < NDELAY; k++) {
+            *past = nth_piece(me, i)[0];
+            if (fabs(*past + s->memory.time[k] - s->t) <= rounding(s->t) && jumps(nth_piece(me, i - 1), nth_piece(me, i), k))
+                return k;
+        }
+    return -1;
+}
+
 /* The next time event that the past sets. */
 double next_delayed_event(const Instance *me) {
     const Memory *m = &me->s.memory;
@@ -57,8 +82,8 @@ double next_delayed_event(const Instance *me) {
     for (size_t i = 1; i < m->rows; i++) {
         const double *before = nth_piece(me, i - 1), *after = nth_piece(me, i);
         for (int k = 0; k < NDELAY; k++) {
-            const double a = before[2 + 4 * k + 1], b = after[2 + 4 * k], at = after[0] + m->time[k];
-            if (fabs(a - b) > 1e-12 * fmax(fabs(a), fabs(b)) && at > me->s.t + rounding(me->s.t)) next = fmin(next, at);
+            const double at = after[0] + m->time[k];
+            if (jumps(before, after, k) && at > me->s.t + rounding(me->s.t)) next = fmin(next, at);
         }
     }
     return next;
@@ -215,6 +240,9 @@ Status begin_past(Instance *me, int *settled) {
     }
     s->have_dx = s->have_v = 0;
     s->next_event = fmin(s->next_event, next_delayed_event(me));
+    const int moved = start_past_moves(me);
+    if (moved < 0) return report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", s->t);
+    *settled &= moved;
     return *settled ? remember_point(me) : STATUS_OK;
 }
 
@@ -236,5 +264,151 @@ Status restore_memory(Instance *me, const char *from) {
     m->first_row = 0;
     if (m->rows > 0) memcpy(me->remembered, from, memory_size(me));
     return STATUS_OK;
+}
+
+/* ---- How the past moves along the directions of sensitivities */
+
+static size_t width(const struct Sensitivity *q) { return 2 + q->n * (1 + 4 * NDELAY); }
+
+static double *nth_move(const struct Sensitivity *q, size_t i) { return q->past.rows + (q->past.first + i) * width(q); }
+
+/* The derivative of delayed expression k along direction j. */
+double past_move(const Instance *me, int k, size_t j, double t, int after) {
+    const struct Sensitivity *q = me->sensitivity;
+    const double then = t - me->s.memory.time[k], reach = after ? then + rounding(then) : then - rounding(then);
+    size_t low = 0, high = q->past.count;
+    while (low < high) {
+        const size_t middle = low + (high - low) / 2;
+        if (nth_move(q, middle)[0] <= reach) low = middle + 1;
+        else high = middle;
+    }
+    if (low == 0) return q->past.start[k * q->n + j];
+    const double *piece = nth_move(q, low - 1), *at = piece + 2 + q->n + 4 * k * q->n + j;
+    const double a = 3.0 * fmin(fmax((then - piece[0]) / (piece[1] - piece[0]), 0.0), 1.0);
+    const double value = -(a - 1.0) * (a - 2.0) * (a - 3.0) / 6.0 * at[0] + a * (a - 2.0) * (a - 3.0) / 2.0 * at[q->n] -
+                         a * (a - 1.0) * (a - 3.0) / 2.0 * at[2 * q->n] + a * (a - 1.0) * (a - 2.0) / 6.0 * at[3 * q->n];
+    return value - delayed_slope(me, k, t, after) * q->past.time[k * q->n + j];
+}
+
+/* At the start, from the directions there: 1 if that changes nothing, -1 if it fails. */
+int start_past_moves(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    int settled = 1;
+    if (!has_sensitivities(me)) return 1;
+    q->past.first = q->past.count = 0;
+    memset(q->past.event, 0, q->n * sizeof(double));
+    for (size_t j = 0; j < q->n; j++) {
+        Direction s = q->along[j];
+        double along[2 * NDELAY];
+        for (int k = 0; k < NDELAY; k++) s.u[NIN + k] = q->past.start[k * q->n + j];
+        s.t = 0.0;
+        if (delayed_along(me, me->s.t, me->s.x, me->s.u, &s, along)) return -1;
+        for (int k = 0; k < NDELAY; k++) {
+            double *start = &q->past.start[k * q->n + j];
+            settled &= fabs(*start - along[k]) <= 1e-12 * fabs(along[k]);
+            *start = along[k];
+            q->past.time[k * q->n + j] = along[NDELAY + k];
+        }
+    }
+    return settled;
+}
+
+/* Remembers how the past moved in a piece of the last step; `at` gives S. */
+Status record_past_moves(Instance *me, double from, double to, void (*at)(const struct Sensitivity *, double, double *)) {
+    struct Sensitivity *q = me->sensitivity;
+    const Memory *m = &me->s.memory;
+    const size_t n = q->n;
+    double x[LENGTH(NX)], u[LENGTH(NU)], along[2 * NDELAY], longest = 0.0;
+    if (!(to > from)) return STATUS_OK;
+    for (int k = 0; k < NDELAY; k++) longest = fmax(longest, m->time[k]);
+    while (q->past.count > 1 && nth_move(q, 1)[1] < from - longest) q->past.first++, q->past.count--;
+    if (q->past.first > 0 && q->past.first >= q->past.count) {
+        memmove(q->past.rows, nth_move(q, 0), q->past.count * width(q) * sizeof(double));
+        q->past.first = 0;
+    }
+    if (q->past.first + q->past.count + 1 > q->past.room) {
+        const size_t room = q->past.room ? 2 * q->past.room : 64;
+        double *more = realloc(q->past.rows, room * width(q) * sizeof(double));
+        if (!more) return report(me, STATUS_ERROR, "no memory for the past of delay()");
+        q->past.rows = more;
+        q->past.room = room;
+    }
+    double *piece = nth_move(q, q->past.count), *S = malloc(LENGTH(NX) * n * sizeof(double));
+    if (!S) return report(me, STATUS_ERROR, "no memory for the past of delay()");
+    piece[0] = from;
+    piece[1] = to;
+    for (size_t j = 0; j < n; j++) piece[2 + j] = from == m->event ? q->past.event[j] : 0.0;
+    int failed = 0;
+    for (int i = 0; i < 4 && !failed; i++) {
+        const double t = i == 3 ? to : from + i * (to - from) / 3.0;
+        at(q, t, S);
+        dense_output(&me->s.step, t, x);
+        input_at(me, t);
+        memcpy(u, me->ut, sizeof u);
+        for (size_t j = 0; j < n && !failed; j++) {
+            Direction s = q->along[j];
+            for (int row = 0; row < NX; row++) s.x[row] = S[row * n + j];
+            for (int k = 0; k < NU; k++) s.u[k] = input_move(me, k, j, t);
+            s.t = 0.0;
+            failed = delayed_along(me, t, x, u, &s, along);
+            for (int k = 0; k < NDELAY; k++) piece[2 + n + (4 * k + i) * n + j] = along[k];
+        }
+    }
+    free(S);
+    q->past.count++;
+    return failed ? report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", from) : STATUS_OK;
+}
+
+/* Before a time event that is not the model's own: how its time moves. */
+void past_event_moves(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    const State *s = &me->s;
+    double past;
+    if (s->next_event > s->t || s->memory.own_next <= s->t) return;
+    const int k = jump_due(me, &past);
+    for (size_t j = 0; j < q->n; j++) q->along[j].next_event = 0.0;
+    if (k < 0) return;
+    for (size_t i = 0; i < q->past.count; i++)
+        if (nth_move(q, i)[0] == past)
+            for (size_t j = 0; j < q->n; j++)
+                q->along[j].next_event = nth_move(q, i)[2 + j] + q->past.time[k * q->n + j];
+}
+
+/* What is delayed, after an event and seen from where that moves to. */
+void move_past_jumps(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    const double t = me->s.t;
+    for (size_t j = 0; j < q->n; j++)
+        for (int k = 0; k < NDELAY; k++)
+            q->along[j].u[NIN + k] = past_move(me, k, j, t, 1) + q->along[j].t * delayed_slope(me, k, t, 1);
+}
+
+void remember_event_moves(Instance *me) {
+    struct Sensitivity *q = me->sensitivity;
+    for (size_t j = 0; j < q->n; j++) q->past.event[j] = q->along[j].t;
+}
+
+size_t past_moves_size(const struct Sensitivity *q) {
+    return (q->past.count * width(q) + (2 * NDELAY + 1) * q->n) * sizeof(double);
+}
+
+void copy_past_moves(const struct Sensitivity *q, char *to) {
+    const size_t own = (2 * NDELAY + 1) * q->n * sizeof(double);
+    memcpy(to, q->past.start, own);
+    if (q->past.count > 0) memcpy(to + own, nth_move(q, 0), q->past.count * width(q) * sizeof(double));
+}
+
+/* After q->past.count is that of the copy; 1: no memory. */
+int restore_past_moves(struct Sensitivity *q, const char *from) {
+    const size_t own = (2 * NDELAY + 1) * q->n * sizeof(double);
+    if (q->past.count > q->past.room) {
+        double *more = realloc(q->past.rows, q->past.count * width(q) * sizeof(double));
+        if (!more) return 1;
+        q->past.rows = more;
+        q->past.room = q->past.count;
+    }
+    memcpy(q->past.start, from, own);
+    if (q->past.count > 0) memcpy(q->past.rows, from + own, q->past.count * width(q) * sizeof(double));
+    return 0;
 }
 #endif

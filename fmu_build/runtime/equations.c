@@ -303,6 +303,14 @@ int delayed_expressions(Instance *me, double t, const double *x, const double *u
     memcpy(slope, both, NDELAY * sizeof *slope);
     return 0;
 }
+
+/* Derivatives along a direction of what is delayed and of the delays, 2 NDELAY numbers. */
+int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along) {
+    if (loops_along(me, t, x, u, s)) return 1;
+    environment_along(me, &t, x, u, s, 9);
+    me->res[0] = along;
+    return CALL(delayed_partials);
+}
 #endif
 
 /* The same of v, into s->v; s->y is that of `derivatives_along` at the same point. */

@@ -28,6 +28,7 @@ static int grazes(Instance *me, int i, double rate, int *failed) {
     dense_output(step, before, x);
     *failed = right_hand_side(me, before, x, flow.x);
     memcpy(flow.u, step->du, sizeof flow.u);
+    delayed_at(me, before, me->ut, flow.u);
     *failed = *failed || indicators_along(me, before, x, me->ut, &flow, g);
     const double bend = sign * (rate - g[i]) / (s->t - before);
     return bend > 0.0 && fabs(rate) < bend * sqrt(s->tolerance) * step->h;
@@ -71,6 +72,7 @@ Status event_time_along(Instance *me, Direction *along, size_t n, int inside) {
     int failed = right_hand_side(me, s->t, s->x, flow.x);
     memcpy(u, me->ut, sizeof u);
     memcpy(flow.u, s->step.du, sizeof flow.u);
+    delayed_at(me, s->t, me->ut, flow.u);
     relations(me, s->t, s->x, u, m);
     for (int i = 0; i < NM; i++)
         if (m[i] != s->m[i]) changed[n_changed++] = i;

@@ -159,7 +159,11 @@ Status event_iteration(Instance *me, int initial) {
         memcpy(update.x, s->x, sizeof s->x);
         Status status = settle(me, initial, &update);
         if (status > STATUS_WARNING) return status;
-        s->next_event = fmin(update.next_event, next_delayed_event(me));
+        s->next_event = update.next_event;
+#if MODEL_NDELAY > 0
+        s->memory.own_next = update.next_event;
+        s->next_event = fmin(s->next_event, next_delayed_event(me));
+#endif
         if (update.terminate != 0.0) s->terminate = 1;
         if (initial) return whole_numbers(me);
         status = update_sensitivities(me, update.reinit != 0.0);

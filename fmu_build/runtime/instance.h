@@ -49,7 +49,7 @@ typedef struct {
 /* The past of what is delayed, from `until` backwards; its pieces are in Instance. */
 typedef struct {
     size_t first_row, rows;
-    double until, event;                        /* how far it reaches; time of the last event */
+    double until, event, own_next;              /* how far it reaches; time of the last event; the model's next one */
     double time[LENGTH(NDELAY)], at_start[LENGTH(NDELAY)], size[LENGTH(NDELAY)];
     double x[LENGTH(NX)], dx[LENGTH(NX)], u[LENGTH(NU)]; /* at `until`, in model exchange */
 } Memory;
@@ -195,9 +195,11 @@ void copy_memory(const Instance *me, char *to);
 Status restore_memory(Instance *me, const char *from);
 int delayed_expressions(Instance *me, double t, const double *x, const double *u, const double *du, double *value,
                         double *slope);
+int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along);
+double delayed_slope(const Instance *me, int k, double t, int after);
+int jump_due(const Instance *me, double *past);
 #else
 #define delayed_at(me, t, u, du) ((void)0)
-#define next_delayed_event(me) INFINITY
 #define remember(me, t) STATUS_OK
 #define remember_point(me) STATUS_OK
 #define pass_delays(me) STATUS_OK

@@ -85,10 +85,10 @@ Status restore_state(Instance *me, const void *copy) {
     const Copy *from = copy;
     if (!from) return report(me, STATUS_ERROR, "no FMU state to set");
     const size_t own = sensitivities_size(me);
-    if (from->sensitivities != own || (own > 0 && restore_sensitivities(me, (const char *)(from + 1))))
+    if ((NDELAY > 0 ? !from->sensitivities != !own : from->sensitivities != own) || (own > 0 && restore_sensitivities(me, (const char *)(from + 1))))
         return report(me, STATUS_ERROR, "the FMU state has not these sensitivities: reset instead");
     memcpy(&me->s, &from->s, sizeof(State));
-    return restore_memory(me, (const char *)(from + 1) + own);
+    return restore_memory(me, (const char *)(from + 1) + from->sensitivities);
 }
 
 /* Serialised: the GUID, so that another model's state is refused, the bytes of State (this platform's), and the past. */

@@ -63,9 +63,10 @@ static int shared_slopes(Instance *me, const double *t, const double *x, const d
 }
 
 /* Adds the derivatives of `entries` quantities by input i, times how it moves, to their rows of n. */
-static void add_driven(const struct Sensitivity *q, int i, double t, const double *by_input, int entries, double *rows) {
+static void add_driven(const Instance *me, int i, double t, const double *by_input, int entries, double *rows) {
+    const struct Sensitivity *q = me->sensitivity;
     for (size_t j = 0; j < q->n; j++) {
-        const double move = input_move(&q->drive, q->n, i, j, t);
+        const double move = input_move(me, i, j, t);
         for (int row = 0; row < entries; row++) rows[row * q->n + j] += by_input[row] * move;
     }
 }
@@ -98,12 +99,12 @@ static int slopes_at(Instance *me, double t, const double *x, const double *u, d
         }
     }
     for (int i = 0; i < NU; i++) {
-        if (!q->drive.driven[i]) continue;
+        if (i < NIN && !q->drive.driven[i]) continue;
         Direction s = {.u = {0}};
         s.u[i] = 1.0;
         if (partials_along(me, t, x, u, &s)) return 1;
-        add_driven(q, i, t, s.dx, NX, q->by_moves);
-        add_driven(q, i, t, s.y, NY, q->by_moves + NX * q->n);
+        add_driven(me, i, t, s.dx, NX, q->by_moves);
+        add_driven(me, i, t, s.y, NY, q->by_moves + NX * q->n);
     }
     return 0;
 }
@@ -276,6 +277,25 @@ static void at_end(const struct Sensitivity *q, double *target) {
         memcpy(target + row * q->n, q->stages + (row * RADAU + RADAU - 1) * q->n, q->n * sizeof(double));
 }
 
+/* S at time t of the last piece, by its collocation polynomial. */
+static void interpolate(const struct Sensitivity *q, double t, double *target) {
+    const double r = (t - q->from) / (q->to - q->from);
+    const double at[RADAU + 1] = {0.0, RADAU_NODE[0], RADAU_NODE[1], RADAU_NODE[2]};
+    double basis[RADAU + 1];
+    for (int i = 0; i <= RADAU; i++) {
+        basis[i] = 1.0;
+        for (int j = 0; j <= RADAU; j++)
+            if (j != i) basis[i] *= (r - at[j]) / (at[i] - at[j]);
+    }
+    EACH_LIVE(q, first, end)
+        for (int row = 0; row < NX; row++)
+            for (size_t p = first; p < end; p++) {
+                const double *stage = q->stages + row * RADAU * q->n + p;
+                target[row * q->n + p] = basis[0] * q->start[row * q->n + p] + basis[1] * stage[0] +
+                                         basis[2] * stage[q->n] + basis[3] * stage[2 * q->n];
+            }
+}
+
 /* Solves the pieces of the last step up to the one that holds time t. */
 static Status solve_until(Instance *me, double t) {
     enum { MOST = 20 }; /* kinks that follow each other without end are rounding: what rests at its threshold */
@@ -286,7 +306,11 @@ static Status solve_until(Instance *me, double t) {
     const double end = step->t1; /* what an event cuts off may be undefined */
     Status status = STATUS_OK;
     while (status == STATUS_OK && (q->pieces == 0 || (t > q->to && q->to < end))) {
-        if (q->pieces > 0) at_end(q, q->start);
+        if (q->pieces > 0) {
+            status = record_past_moves(me, q->from, q->to, interpolate);
+            if (status != STATUS_OK) break;
+            at_end(q, q->start);
+        }
         q->from = q->pieces > 0 ? q->to : step->t0;
         q->smooth = end;
         q->to = q->pieces < MOST ? next_kink(me, q->from, end, q->switches, &q->switches_known, &q->smooth) : end;
@@ -306,25 +330,8 @@ static Status evaluate(Instance *me, double t, double *target) {
     }
     const Status status = solve_until(me, t);
     if (status != STATUS_OK) return status;
-    if (t == q->to) {
-        at_end(q, target);
-        return STATUS_OK;
-    }
-    const double r = (t - q->from) / (q->to - q->from);
-    const double at[RADAU + 1] = {0.0, RADAU_NODE[0], RADAU_NODE[1], RADAU_NODE[2]};
-    double basis[RADAU + 1];
-    for (int i = 0; i <= RADAU; i++) {
-        basis[i] = 1.0;
-        for (int j = 0; j <= RADAU; j++)
-            if (j != i) basis[i] *= (r - at[j]) / (at[i] - at[j]);
-    }
-    EACH_LIVE(q, first, end)
-        for (int row = 0; row < NX; row++)
-            for (size_t p = first; p < end; p++) {
-                const double *stage = q->stages + row * RADAU * q->n + p;
-                target[row * q->n + p] = basis[0] * q->start[row * q->n + p] + basis[1] * stage[0] +
-                                         basis[2] * stage[q->n] + basis[3] * stage[2 * q->n];
-            }
+    if (t == q->to) at_end(q, target);
+    else interpolate(q, t, target);
     return STATUS_OK;
 }
 
@@ -333,7 +340,8 @@ static Status evaluate(Instance *me, double t, double *target) {
 Status advance_sensitivities(Instance *me, double t, int restart) {
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0) return STATUS_OK;
-    const Status status = evaluate(me, t, q->now);
+    Status status = evaluate(me, t, q->now);
+    if (status == STATUS_OK && q->pieces > 0) status = record_past_moves(me, q->from, t, interpolate);
     q->switches_known &= !restart && q->to == t;
     memcpy(q->start, q->now, q->n * NX * sizeof(double));
     q->pieces = 0;
@@ -389,12 +397,12 @@ static int follow_variables(Instance *me, const unsigned char *asked) {
         else add_moved(q, slope, moved, row);
     }
     for (int i = 0; i < NU; i++) {
-        if (!q->drive.driven[i]) continue;
+        if (i < NIN && !q->drive.driven[i]) continue;
         Direction s = {.u = {0}};
         s.u[i] = 1.0;
         if (variables_along(me, now->t, now->x, now->u, &s)) return 1;
         for (int row = 0; row < NV; row++)
-            if (asked[row]) add_driven(q, i, now->t, &s.v[row], 1, q->shown + row * n);
+            if (asked[row]) add_driven(me, i, now->t, &s.v[row], 1, q->shown + row * n);
     }
     return 0;
 }
@@ -408,7 +416,7 @@ static int follow_all_variables(Instance *me) {
         Direction *s = &q->along[j];
         for (int i = 0; i < NX; i++) s->x[i] = q->rest[i * n + j];
         for (int i = 0; i < NY; i++) s->y[i] = q->rest[(NX + i) * n + j];
-        for (int i = 0; i < NU; i++) s->u[i] = input_move(&q->drive, n, i, j, now->t);
+        for (int i = 0; i < NU; i++) s->u[i] = input_move(me, i, j, now->t);
         if (variables_along(me, now->t, now->x, now->u, s)) return 1;
         for (int i = 0; i < NV; i++) q->shown[i * n + j] = s->v[i];
     }
@@ -456,7 +464,7 @@ Status sensitivities_of(Instance *me, const unsigned *variables, size_t n, doubl
         const VariableEntry *entry = differentiable(me, variables[i]);
         const double *row = row_of(q, entry->vector, entry->index);
         for (size_t j = 0; j < q->n; j++) {
-            const double move = entry->vector == VECTOR_U ? input_move(&q->drive, q->n, entry->index, j, me->s.t)
+            const double move = entry->vector == VECTOR_U ? input_move(me, entry->index, j, me->s.t)
                                                           : row ? row[j] : 0.0;
             values[i * q->n + j] = entry->sign * move;
         }

@@ -17,6 +17,10 @@ void free_sensitivities(Instance *me) {
         free(q->moves);
         free(q->apart);
         free(q->live);
+#if MODEL_NDELAY > 0
+        free(q->past.rows);
+        free(q->past.start);
+#endif
         free_pivoted(&q->other);
     }
     free(q);
@@ -31,7 +35,7 @@ static size_t slices(const struct Sensitivity *q) { return q->n / SLICE + 1; }
 /* Bytes of a copy: the structure, and what it points to that changes in a simulation. */
 size_t sensitivities_size(const Instance *me) {
     const struct Sensitivity *q = me->sensitivity;
-    return q ? sizeof *q + q->n * (sizeof *q->along + ROWS * sizeof(double)) + slices(q) : 0;
+    return q ? sizeof *q + q->n * (sizeof *q->along + ROWS * sizeof(double)) + slices(q) + past_moves_size(q) : 0;
 }
 
 void copy_sensitivities(const Instance *me, char *to) {
@@ -39,7 +43,8 @@ void copy_sensitivities(const Instance *me, char *to) {
     memcpy(to, q, sizeof *q);
     memcpy(to += sizeof *q, q->along, q->n * sizeof *q->along);
     memcpy(to += q->n * sizeof *q->along, q->moves, ROWS * q->n * sizeof(double));
-    memcpy(to + ROWS * q->n * sizeof(double), q->live, slices(q));
+    memcpy(to += ROWS * q->n * sizeof(double), q->live, slices(q));
+    copy_past_moves(q, to + slices(q));
 }
 
 /* 1: the copy is of other sensitivities than these. */
@@ -49,12 +54,24 @@ int restore_sensitivities(Instance *me, const char *from) {
     struct Sensitivity then;
     memcpy(&then, from, sizeof then);
     if (then.moves != q->moves || then.n != q->n) return 1;
+#if MODEL_NDELAY > 0
+    then.past.rows = q->past.rows;
+    then.past.start = q->past.start;
+    then.past.time = q->past.time;
+    then.past.event = q->past.event;
+    then.past.room = q->past.room;
+    then.past.first = 0;
+#endif
     *q = then;
     q->other = other;
     memcpy(q->along, from += sizeof *q, q->n * sizeof *q->along);
     memcpy(q->moves, from += q->n * sizeof *q->along, ROWS * q->n * sizeof(double));
-    memcpy(q->live, from + ROWS * q->n * sizeof(double), slices(q));
+    memcpy(q->live, from += ROWS * q->n * sizeof(double), slices(q));
+#if MODEL_NDELAY > 0
+    return restore_past_moves(q, from + slices(q));
+#else
     return 0;
+#endif
 }
 
 /* Which derivatives by what the directions move are computed for each direction apart, and which for all together. */
@@ -127,6 +144,9 @@ Status start_sensitivities(Instance *me) {
         double start[LENGTH(NX)] = {0}, unit_start[LENGTH(NX)];
         memset(s, 0, sizeof *s);
         for (int i = 0; i < NU; i++) s->u[i] = q->drive.seeds[i * q->n + j];
+#if MODEL_NDELAY > 0
+        for (int k = 0; k < NDELAY; k++) s->u[NIN + k] = q->past.start[k * q->n + j];
+#endif
         for (size_t i = 0; i < q->n_parameters; i++) {
             const double w = q->weights[j * q->n_parameters + i];
             if (w == 0.0) continue;
@@ -154,9 +174,10 @@ static void replace_drive(struct Sensitivity *q) {
     q->replaced = 0;
 }
 
-static void inputs_along(struct Sensitivity *q, double t) {
+static void inputs_along(Instance *me, double t) {
+    struct Sensitivity *q = me->sensitivity;
     for (size_t j = 0; j < q->n; j++)
-        for (int i = 0; i < NU; i++) q->along[j].u[i] = input_move(&q->drive, q->n, i, j, t);
+        for (int i = 0; i < NU; i++) q->along[j].u[i] = input_move(me, i, j, t);
 }
 
 /* Before the event iteration: S at the event, seen from where it moves to. */
@@ -167,12 +188,15 @@ Status enter_event(Instance *me, int inside) {
     if (MODEL_HAS_EVENTS) {
         for (size_t j = 0; j < q->n; j++)
             for (int row = 0; row < NX; row++) q->along[j].x[row] = q->start[row * q->n + j];
-        inputs_along(q, me->s.t);
+        inputs_along(me, me->s.t);
+        if (inside) past_event_moves(me);
         status = event_time_along(me, q->along, q->n, inside);
     }
-    if (inside) return status;
-    if (q->replaced) replace_drive(q);
-    if (MODEL_HAS_EVENTS) inputs_along(q, me->s.t); /* a communication point does not move */
+    if (!inside) {
+        if (q->replaced) replace_drive(q);
+        if (MODEL_HAS_EVENTS) inputs_along(me, me->s.t); /* a communication point does not move */
+    }
+    move_past_jumps(me);
     return status;
 }
 
@@ -186,6 +210,7 @@ Status update_sensitivities(Instance *me, int reinit) {
 Status leave_event(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (!MODEL_HAS_EVENTS || !q || q->n == 0) return STATUS_OK;
+    remember_event_moves(me);
     const Status status = event_end_along(me, q->along, q->n);
     go_on_along(q);
     return status;
@@ -197,7 +222,6 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     if (!me) return STATUS_ERROR;
     if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
         return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
-    if (NDELAY > 0) return report(me, STATUS_ERROR, "sensitivities do not follow delay(); use finite differences");
     for (size_t i = 0; i < n_parameters; i++) {
         Direction s;
         double start[LENGTH(NX)];
@@ -218,6 +242,15 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->n = n;
         q->live = calloc(slices(q), 1);
     }
+#if MODEL_NDELAY > 0
+    if (q) {
+        q->past.start = calloc((2 * NDELAY + 1) * n, sizeof(double));
+        q->past.time = q->past.start + NDELAY * n;
+        q->past.event = q->past.time + NDELAY * n;
+        if (q->live) memset(q->live, 1, slices(q));
+    }
+    if (q && !q->past.start) free_sensitivities(me), q = NULL;
+#endif
     if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
@@ -277,9 +310,9 @@ int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inp
         }
     }
     int same = 1;
-    for (int i = 0; i < NU; i++)
+    for (int i = 0; i < NIN; i++)
         for (size_t j = 0; j < n; j++)
-            same &= next->seeds[i * n + j] == input_move(&q->drive, n, i, j, s->t) &&
+            same &= next->seeds[i * n + j] == input_move(me, i, j, s->t) &&
                     next->rates[i * n + j] == q->drive.rates[i * n + j];
     q->replaced = !same;
     if (q->replaced && before) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import factorial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from fmuid import load_fmu
 from fmuid.core.errors import SimulationError
 from fmuid.simulation.simulator import Task
 from tests.fmu_runtime.conftest import Fmu
+from tests.fmu_runtime.test_sensitivity import choose, sensitivities
 
 DELAYS = Path(__file__).parent / "models" / "Delays.mo"
 KINDS = ("CoSimulation", "ModelExchange")
@@ -94,3 +96,44 @@ def test_the_state_of_an_fmu_contains_the_past(built, tmp_path):
 def test_a_delay_must_be_positive(built):
     with pytest.raises(SimulationError, match=r"delay\(\) by 0 s; the delay must be positive"):
         load_fmu(built("Backwards")).simulate(Task(np.linspace(0, 1, 3), {}, ("y",)), {})
+
+
+def test_derivatives_follow_the_past_its_jumps_and_the_delays_themselves(built):
+    t = np.linspace(0, 3, 59)  # away from the delays, where derivatives are one-sided
+    for name, values, inputs in (
+        ("Past", {"T": 0.7, "k": 1.0, "x": 1.0}, {}),
+        ("Jumps", {"T": 0.31, "h": 1.0}, {"u": np.sin(t)}),
+    ):
+        model = load_fmu(built(name))
+        outputs = {"Past": ("x", "w", "twice"), "Jumps": ("x", "y", "z", "v")}[name]
+        task = Task(t, inputs, outputs, interpolation="linear", tolerance=1e-9)
+        assert model.differentiates(list(values))
+        got = model.simulate(replace(task, along=tuple({n: 1.0} for n in values)), values)
+        assert np.array_equal(got[: len(outputs)], model.simulate(task, values))
+        for number, (parameter, value) in enumerate(values.items()):
+            ends = [model.simulate(task, {**values, parameter: value + sign * 1e-5}) for sign in (1, -1)]
+            expected = (ends[0] - ends[1]) / 2e-5
+            exact = got[len(outputs) * (number + 1) : len(outputs) * (number + 2)]
+            np.testing.assert_allclose(exact, expected, atol=2e-4 * (1 + np.abs(expected).max()), err_msg=parameter)
+
+
+def test_derivatives_go_back_with_the_state(built, tmp_path):
+    path = built("Past")
+    one = Fmu(path, Path(fmpy.extract(str(path), str(tmp_path))))
+    choose(one, ["T", "k"])
+    one.start()
+
+    def go_on(first):
+        found = []
+        for k in range(first, 40):
+            one.c.doStep(k * 0.05, 0.05)
+            found.append(sensitivities(one, ["x", "w"], 2))
+        return found
+
+    for k in range(25):
+        one.c.doStep(k * 0.05, 0.05)
+    state = one.c.getFMUstate()
+    there = go_on(25)
+    one.c.setFMUstate(state)
+    np.testing.assert_array_equal(go_on(25), there)
+    assert np.any(np.array(there)[:, 1, 0] != 0)
