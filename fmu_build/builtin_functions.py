@@ -211,7 +211,7 @@ SUPPORTED = frozenset(
 UNSUPPORTED = frozenset(
     ("spatialDistribution", "inStream", "actualStream", "rooted", "previous",
      "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",
-     "loadResource")
+     "loadResource", "transition", "initialState", "activeState", "ticksInState", "timeInState")
 )  # fmt: skip
 # Names of the arguments of built-in functions that may be called with named arguments.
 NAMED: dict[str, list[str]] = {

@@ -38,11 +38,11 @@ _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
 _LEVELS = (
-    (_FAST, ("equations.c", "integrator.c", "dense_output.c", "delays.c")),
+    (_FAST, ("equations.c", "integrator.c", "dense_output.c", "past.c")),
     (_VECTORS, ("sensitivity.c",)),
     (_STRAIGHT, ("model.c", "switches.c")),
     (_SELDOM, ("model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
-    (_SELDOM, ("sensitivity_rare.c", "pivoted_blocks.c", "fmi2.c", "fmi3.c")),
+    (_SELDOM, ("delays.c", "sensitivity_rare.c", "pivoted_blocks.c", "fmi2.c", "fmi3.c")),
 )
 _SHARED = (
     "delays.c",
@@ -55,6 +55,7 @@ _SHARED = (
     "kinks.c",
     "lifecycle.c",
     "linear.c",
+    "past.c",
     "pivoted_blocks.c",
     "pivoting.c",
     "sensitivity.c",
@@ -63,7 +64,7 @@ _SHARED = (
     "starts.c",
     "variables.c",
 )
-_HEADERS = ("collocation.h", "instance.h", "linear.h", "lu.h", "sensitivity.h")
+_HEADERS = ("collocation.h", "instance.h", "linear.h", "lu.h", "past.h", "sensitivity.h")
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),

@@ -182,7 +182,7 @@ Status event_iteration(Instance *me, int initial);
 void find_event(Instance *me, double from, double to, int samples);
 void watch_chattering(Instance *me);
 
-/* delays.c */
+/* past.c, delays.c */
 #if MODEL_NDELAY > 0
 void delayed_at(const Instance *me, double t, double *u, double *du);
 double next_delayed_event(const Instance *me);

@@ -114,7 +114,9 @@ def test_derivatives_follow_the_past_its_jumps_and_the_delays_themselves(built):
             ends = [model.simulate(task, {**values, parameter: value + sign * 1e-5}) for sign in (1, -1)]
             expected = (ends[0] - ends[1]) / 2e-5
             exact = got[len(outputs) * (number + 1) : len(outputs) * (number + 2)]
-            np.testing.assert_allclose(exact, expected, atol=2e-4 * (1 + np.abs(expected).max()), err_msg=parameter)
+            np.testing.assert_allclose(
+                exact, expected, atol=2e-4 * (1 + np.abs(expected).max()), err_msg=parameter
+            )
 
 
 def test_derivatives_go_back_with_the_state(built, tmp_path):
