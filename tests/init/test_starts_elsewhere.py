@@ -101,12 +101,26 @@ def test_a_start_that_fades_soon_is_not_estimated(tmp_path):
     assert "segments" not in (tmp_path / "room" / "campaign.toml").read_text()
 
 
+def given(folder: Path, equations: str) -> Path:
+    """The room's model with initial equations."""
+    text = MODEL.replace("{start}", "").replace("Room", "Given")
+    if "wall =" in equations:
+        text = text.replace(", start=293, fixed=true", "")
+    (folder / "Given.mo").write_text(text.replace("equation\n", f"initial equation\n{equations}equation\n", 1))
+    return folder / "Given.mo"
+
+
+def test_states_that_the_model_calculates_are_left_out(tmp_path, capsys):
+    paths = logs(tmp_path, 4.0, repeats=1)
+    fmuid.start(paths, model=given(tmp_path, "  air = wall;\n"), out=tmp_path / "given")
+    assert "at 293; T, which the FMU calculates, cannot be estimated" in capsys.readouterr().out
+    assert 'segments = "run"' in (tmp_path / "given" / "campaign.toml").read_text()
+    assert fmuid.identify(tmp_path / "given").parameters["G"] == pytest.approx(24.0, rel=0.5)
+
+
 def test_a_model_that_calculates_its_start_says_so(tmp_path, capsys):
     paths = logs(tmp_path, 4.0, repeats=1)
-    file = tmp_path / "Given.mo"
-    given = MODEL.replace("{start}", "").replace("Room", "Given")
-    file.write_text(given.replace("equation\n", "initial equation\n  air = wall;\nequation\n", 1))
-    fmuid.start(paths, model=file, out=tmp_path / "given")
+    fmuid.start(paths, model=given(tmp_path, "  air = wall;\n  wall = 293;\n"), out=tmp_path / "given")
     told = "the model cannot start as the runs do: 'run0_0' starts at T = 297 K, the model at 293, but the state"
     assert told in capsys.readouterr().out
     assert "segments" not in (tmp_path / "given" / "campaign.toml").read_text()

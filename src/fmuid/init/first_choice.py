@@ -230,13 +230,14 @@ def restarts(
     if elsewhere is None:
         return None, ()
     try:
-        states_of(model)
+        held = [s for s in model.states if s not in states_of(model, whole=True)]
     except ProblemError as error:
         return None, (f"the model cannot start as the runs do: {elsewhere}, but {error.what}",)
     if not start_lasts(model, runs[0], mapping):
         return None, ()
     chosen = Restarts(math.inf, elsewhere)
-    return chosen, (str(chosen),)
+    left = f"; {', '.join(held)}, which the FMU calculates, cannot be estimated" if held else ""
+    return chosen, (f"{chosen}{left}",)
 
 
 def start_lasts(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -> bool:
