@@ -2,6 +2,8 @@
  *
  * `resources/contained` is the other FMU, unpacked, and `resources/laws.txt` says what it has and lists the laws: see
  * fmu_with_laws.py, which writes both. The integrator is that of model_exchange.c. This library depends on libc and libm only.
+ * If the other FMU offers directional derivatives, runs are differentiated by parameters as those of FMUs from fmu_build
+ * (fmu_build/runtime/sensitivity.h). Such a run fails at its first event, and the caller compares runs instead.
  */
 #ifndef _WIN32
 #define _POSIX_C_SOURCE 200809L
@@ -9,6 +11,7 @@
 #include "laws.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
@@ -57,6 +60,9 @@ typedef struct {
     double *inputs, *slope, *default_parameter, *default_input, time[2], tolerance;
     int32_t *column;
     uint32_t *directional; /* references of derivatives, then of states, or NULL */
+    size_t n_moved, n_held; /* of directions: the parameters that move, and the directions for which there is room */
+    unsigned *moved, *moving; /* and those that move in one direction, with their values there */
+    double *weight, *value; /* (directions, parameters that move) */
     int initialised, stepped, terminated;
 } Me;
 
@@ -261,6 +267,18 @@ static void release(Me *me, Instance *instance)
     *instance = NULL;
 }
 
+static void release_directions(Me *me)
+{
+    for (size_t d = 0; d < me->n_held; d++) {
+        Direction *one = me->run.direction + d;
+        release(me, &one->instance);
+        free(one->parameter), free(one->s);
+    }
+    free(me->run.direction), free(me->run.room), free(me->run.pivots);
+    me->run.direction = NULL, me->run.room = NULL, me->run.pivots = NULL;
+    me->n_held = me->run.n_directions = 0;
+}
+
 static void release_aside(Me *me)
 {
     for (size_t i = 0; me->run.laws.coefficient && i < me->run.laws.n_coefficients; i++)
@@ -313,6 +331,7 @@ static int begin(Me *me)
     memset(me->inputs, 0, 2 * me->run.plan.n_inputs * sizeof(double));
     memset(me->slope, 0, me->run.plan.n_inputs * sizeof(double));
     me->initialised = me->stepped = me->terminated = 0;
+    me->run.n_directions = 0;
     for (size_t i = 0; i < me->n_scalars; i++) me->scalar[i].given = 0;
     release_aside(me);
     memcpy(me->inputs, me->default_input, me->n_own_inputs * sizeof(double)); /* many FMUs are not read before their initialisation */
@@ -335,10 +354,11 @@ API void fmi2FreeInstance(void *c)
 {
     Me *me = c;
     if (!me) return;
-    if (me->library) release_aside(me), release(me, &me->run.plan.instance), close_library(me->library);
+    if (me->library) release_directions(me), release_aside(me), release(me, &me->run.plan.instance), close_library(me->library);
     for (size_t i = 0; me->scalar && i < me->n_scalars; i++) free(me->scalar[i].set.buffer);
     free_laws(&me->run.laws);
     free(me->run.plan.work), free(me->run.plan.pivots), free(me->scalar), free(me->input_group), free(me->inputs);
+    free(me->moved), free(me->moving), free(me->weight), free(me->value);
     free(me->slope), free(me->column), free(me->directional), free(me->default_parameter), free(me->default_input), free(me->label), free(me->resources), free(me);
 }
 
@@ -375,7 +395,8 @@ static int outcome(Me *me, int32_t found)
     if (found == TERMINATED) return me->terminated = 1, DISCARD;
     static const char *const words[] = {[CALL_FAILED] = "a call of the contained FMU failed",
                                         [STEP_TOO_SMALL] = "the integrator cannot keep its error within the tolerance",
-                                        [EVENTS_DO_NOT_SETTLE] = "the event iteration does not settle"};
+                                        [EVENTS_DO_NOT_SETTLE] = "the event iteration does not settle",
+                                        [NOT_DIFFERENTIABLE] = "derivatives by parameters are not given, or there is an event"};
     const char *name = found == CALL_FAILED ? NAMES[me->run.plan.fmi - 2][me->run.plan.call] : NULL;
     const char *what = found < (int32_t)(sizeof words / sizeof *words) && words[found] ? words[found] : "the step failed";
     return report(me, "%s at t = %.9g s%s%s", what, me->run.plan.reached_time, name ? ": " : "", name ? name : "");
@@ -409,17 +430,18 @@ API int fmi2EnterInitializationMode(void *c)
     return enter_initialization(me, &me->run.plan);
 }
 
-/* Bring a further instance, with another value of a parameter, to where derivatives can be read. */
-static int32_t begin_aside(Me *me, Plan *plan, size_t parameter, double value)
+/* Bring a further instance, with other values of n parameters, to where derivatives can be read. */
+static int32_t begin_aside(Me *me, Plan *plan, const unsigned *parameter, const double *value, size_t n)
 {
     if (plan->fmi == 2 && plan->function[SETUP_EXPERIMENT])
         CALL(SETUP_EXPERIMENT, int32_t (*)(Instance, int, double, double, int, double), plan->instance, 1, plan->tolerance,
              me->time[0], 0, 0.0);
     for (size_t i = 0; i < me->n_scalars; i++) {
         Scalar *scalar = me->scalar + i;
-        if (i == parameter) TRY(set_values(plan, &scalar->set, 1, &value));
-        else if (scalar->given) TRY(set_values(plan, &scalar->set, 1, &scalar->value));
+        if (scalar->given) TRY(set_values(plan, &scalar->set, 1, &scalar->value));
     }
+    for (size_t i = 0; i < n; i++)
+        if (parameter[i] < me->n_scalars) TRY(set_values(plan, &me->scalar[parameter[i]].set, 1, value + i));
     int32_t status = enter_initialization(me, plan);
     if (status > WARNING) return fail(plan, ENTER_INITIALIZATION, status);
     TRY(set_values(plan, plan->input_groups, plan->n_input_groups, me->inputs));
@@ -437,11 +459,111 @@ static int look_for_coefficients(Me *me)
         if (one->own == 0) return report(me, "a parameter whose value is zero cannot vary by a share of it");
         one->at[0] = 1.25 * one->own, one->at[1] = 0.8 * one->own;
         for (int k = 0; k < 2; k++) {
-            Plan aside = me->run.plan;
-            aside.instance = one->instance[k] = instantiated(me);
-            if (!aside.instance) return report(me, "the contained FMU cannot be instantiated again");
-            if (begin_aside(me, &aside, one->scalar, one->at[k]) != DONE)
+            PlanWithLaws aside = me->run;
+            aside.plan.instance = one->instance[k] = instantiated(me);
+            if (!aside.plan.instance) return report(me, "the contained FMU cannot be instantiated again");
+            const unsigned scalar = (unsigned)one->scalar;
+            if (begin_aside(me, &aside.plan, &scalar, &one->at[k], 1) != DONE)
                 return report(me, "a further instance of the contained FMU cannot be initialised");
+        }
+    }
+    return OK;
+}
+
+/* ---- Derivatives of a run along directions ---- */
+
+static const double STEP = 1e-5; /* relative: between its truncation and the error of an FMU that solves equations inside */
+
+/* Place the instance of a direction, a new one or one of an earlier run, beside the run. */
+static int begin_direction(Me *me, size_t number)
+{
+    Direction *one = me->run.direction + number;
+    const double *weight = me->weight + number * me->n_moved;
+    size_t n = 0;
+    one->size = INFINITY;
+    for (size_t i = 0; i < me->n_moved; i++) {
+        if (weight[i] == 0) continue;
+        if (get(me, me->moved[i], me->value + n) != OK) return ERROR;
+        one->size = fmin(one->size, STEP * (me->value[n] != 0 ? fabs(me->value[n]) : 1) / fabs(weight[i]));
+        me->moving[n++] = me->moved[i];
+    }
+    if (n == 0) return report(me, "direction %zu is empty", number);
+    memcpy(one->parameter, me->run.laws.parameter, me->run.laws.n_parameters * sizeof(double));
+    for (size_t i = 0, j = 0; i < me->n_moved; i++) {
+        if (weight[i] == 0) continue;
+        me->value[j] += one->size * weight[i];
+        if (me->moved[i] >= me->n_scalars) one->parameter[me->moved[i] - me->n_scalars] = me->value[j];
+        j++;
+    }
+    Plain reset = (Plain)me->run.plan.function[RESET];
+    if (one->instance && (!reset || reset(one->instance) > WARNING)) release(me, &one->instance);
+    if (!one->instance) one->instance = instantiated(me);
+    if (!one->instance) return report(me, "the contained FMU cannot be instantiated again");
+    PlanWithLaws aside = aside_of(&me->run.plan, one);
+    int32_t (*states)(Instance, double *, size_t) = aside.plan.function[GET_STATES];
+    if (begin_aside(me, &aside.plan, me->moving, me->value, n) != DONE || states(one->instance, one->s, me->run.laws.n_states) > WARNING)
+        return report(me, "a further instance of the contained FMU cannot be initialised");
+    return OK;
+}
+
+/* Called before start values are set. Directions of the last run are forgotten by a reset. */
+API int fmuidSetSensitivityDirections(void *c, const unsigned moved[], size_t n_moved, const double weights[], size_t n)
+{
+    Me *me = c;
+    const size_t n_own = me->n_scalars, most = me->run.laws.n_states + me->run.laws.n_inner;
+    if (!me->directional) return report(me, "the contained FMU gives no directional derivatives");
+    for (size_t i = 0; i < n_moved; i++)
+        if (moved[i] >= n_own + me->run.laws.n_parameters ||
+            (moved[i] < n_own && (me->scalar[moved[i]].input >= 0 || me->scalar[moved[i]].set.type != FLOAT64 || me->scalar[moved[i]].set.n_values > 1)))
+            return report(me, "there are no derivatives by variable %u", moved[i]);
+    if (n > me->n_held) {
+        release_directions(me);
+        me->run.direction = calloc(n, sizeof(Direction));
+        me->run.room = calloc(ROOM(most, n) + 1, sizeof(double));
+        me->run.pivots = calloc(STAGES * most + 1, sizeof(int32_t));
+        if (!me->run.direction || !me->run.room || !me->run.pivots) return report(me, "out of memory");
+        for (me->n_held = 0; me->n_held < n; me->n_held++) {
+            Direction *one = me->run.direction + me->n_held;
+            one->parameter = calloc(me->run.laws.n_parameters + 1, sizeof(double));
+            one->s = calloc(most + 1, sizeof(double));
+            if (!one->parameter || !one->s) return me->n_held++, report(me, "out of memory");
+        }
+    }
+    free(me->moved), free(me->moving), free(me->weight), free(me->value);
+    me->moved = calloc(n_moved + 1, sizeof *me->moved), me->moving = calloc(n_moved + 1, sizeof *me->moving);
+    me->weight = calloc(n * n_moved + 1, sizeof(double)), me->value = calloc(n_moved + 1, sizeof(double));
+    if (!me->moved || !me->moving || !me->weight || !me->value) return report(me, "out of memory");
+    memcpy(me->moved, moved, n_moved * sizeof *moved), memcpy(me->weight, weights, n * n_moved * sizeof(double));
+    me->n_moved = n_moved, me->run.n_directions = n;
+    return OK;
+}
+
+/* (n, directions) derivatives of variables, at the end of the last step. */
+API int fmuidGetSensitivities(void *c, const unsigned vr[], size_t n, double value[])
+{
+    Me *me = c;
+    const size_t n_own = me->n_scalars, n_states = me->run.laws.n_states, directions = me->run.n_directions;
+    for (size_t d = 0; d < directions; d++) {
+        const Direction *one = me->run.direction + d;
+        bool moved = false;
+        for (size_t i = 0; i < n; i++) {
+            size_t state = 0;
+            while (state < n_states && (vr[i] >= n_own || me->scalar[vr[i]].reference != me->directional[n_states + state])) state++;
+            if (state < n_states) {
+                value[i * directions + d] = one->s[state];
+                continue;
+            }
+            /* Any other variable follows from the states there. */
+            PlanWithLaws plain = me->run, aside = aside_of(&plain.plan, one);
+            double here, there;
+            if (!moved && move_aside(&aside, one) != DONE) return report(me, "a further instance of the contained FMU fails");
+            moved = true;
+            if (get(me, vr[i], &here) != OK) return ERROR;
+            me->run = aside;
+            int status = get(me, vr[i], &there);
+            me->run = plain;
+            if (status != OK) return status;
+            value[i * directions + d] = (there - here) / one->size;
         }
     }
     return OK;
@@ -453,12 +575,17 @@ API int fmi2ExitInitializationMode(void *c)
     Plan *plan = &me->run.plan;
     int32_t status = ((Plain)plan->function[EXIT_INITIALIZATION])(plan->instance);
     if (status > WARNING) return status;
-    plan->n_states = me->run.laws.n_states + (me->run.n_added = activate_laws(&me->run.laws));
+    for (size_t d = 0; d < me->run.n_directions; d++)
+        if (begin_direction(me, d) != OK) return ERROR;
+    me->run.n_added = activate_laws(&me->run.laws, me->run.direction, me->run.n_directions);
+    plan->n_states = me->run.laws.n_states + me->run.n_added;
+    if (me->run.n_directions > 0 && parameters_vary(plan)) return report(me, "there are no derivatives while a parameter varies");
     plan->reached = -1, plan->reached_time = me->time[0], plan->n_slopes = 0, plan->n_slope_groups = 0;
     memset(plan->work, 0, plan->n_states * sizeof(double));
     plan->derivative_references = me->directional;
     if (look_for_coefficients(me) != OK) return ERROR;
     int32_t found = begin_model_exchange(plan);
+    if (found == DONE) start_directions(plan);
     plan->reached = 0;
     me->initialised = 1;
     return outcome(me, found);

@@ -135,13 +135,30 @@ void start_laws(const Plan *plan, const double *input, double t, double *x)
             x[at.n_own + law->inner[i].place] = value_of(&law->inner[i].start, &at);
 }
 
-size_t activate_laws(Laws *laws)
+bool has_directions(const Plan *plan) { return ((const PlanWithLaws *)plan)->n_directions > 0; }
+
+/* The plan of a direction's instance. It shares the scratch of the other one. */
+PlanWithLaws aside_of(const Plan *plan, const Direction *direction)
+{
+    PlanWithLaws aside = *(const PlanWithLaws *)plan;
+    aside.plan.instance = direction->instance;
+    aside.laws.parameter = direction->parameter;
+    aside.n_directions = 0;
+    return aside;
+}
+
+/* A law is also active if it is only on in one of the directions. */
+size_t activate_laws(Laws *laws, const Direction *directions, size_t n_directions)
 {
     size_t n = 0, number = 0;
     for (size_t i = 0; i < laws->n_coefficients; i++) laws->coefficient[i].active = 0;
     for (Law *law = laws->law; law < laws->law + laws->n_laws; law++) {
         law->active = law->n_sizes == 0;
-        for (size_t i = 0; i < law->n_sizes; i++) law->active |= laws->parameter[law->size[i]] != law->neutral[i];
+        for (size_t i = 0; i < law->n_sizes; i++) {
+            law->active |= laws->parameter[law->size[i]] != law->neutral[i];
+            for (size_t d = 0; d < n_directions; d++)
+                law->active |= directions[d].parameter[law->size[i]] != law->neutral[i];
+        }
         if (law->active && law->coefficient != NONE) laws->coefficient[law->coefficient].active = 1;
         for (size_t i = 0; i < law->n_inner; i++, number++)
             if (law->active) law->inner[i].place = laws->place[number] = n++;

@@ -53,15 +53,31 @@ typedef struct {
     size_t n_inner;    /* of all laws */
 } Laws;
 
+/* A direction in which parameters move: an instance in which they are `size` further along it. */
+typedef struct {
+    Instance instance;
+    double size, *parameter, *s; /* ... the laws' parameters there, and the derivatives of the states along the direction */
+} Direction;
+
 typedef struct {
     Plan plan;         /* first, so that a pointer to it leads to the laws */
     Laws laws;
     size_t n_added;    /* states of the active laws */
+    size_t n_directions;
+    Direction *direction;
+    double *room;      /* scratch of the variational equations ... */
+    int32_t *pivots;
 } PlanWithLaws;
+
+enum { STAGES = 3 }; /* of the variational equations' method */
+#define ROOM(n, directions) (STAGES * (n) * (STAGES * (n) + (directions) + 2) + (n))
 
 int read_double(FILE *file, double *value);
 int read_laws(Laws *laws, FILE *file, size_t n_states, size_t n_scalars);
 void free_laws(Laws *laws);
-size_t activate_laws(Laws *laws); /* number of states that the active ones have */
+size_t activate_laws(Laws *laws, const Direction *directions, size_t n); /* number of states that the active ones have */
+PlanWithLaws aside_of(const Plan *plan, const Direction *direction);
+void start_directions(Plan *plan);
+int32_t move_aside(PlanWithLaws *aside, const Direction *direction);
 
 #endif

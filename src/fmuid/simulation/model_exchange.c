@@ -6,6 +6,9 @@
  * consists of the FMU's directional derivatives where it gives them, else of forward differences. State events are bracketed on the dense output by bisection.
  */
 #include "stepper.h"
+#ifdef FMUID_WITH_LAWS
+#include "laws.h"
+#endif
 
 #include <math.h>
 #include <string.h>
@@ -139,6 +142,7 @@ static int32_t settle(Plan *plan, const Work *w)
     }
     CALL(ENTER_CONTINUOUS_TIME_MODE, Plain, c);
     size_t n = own_states(plan);
+    if (changed && plan->reached >= 0 && has_directions(plan)) return NOT_DIFFERENTIABLE;
     if (n > 0 && (changed || plan->reached < 0))
         CALL(GET_STATES, int32_t (*)(Instance, double *, size_t), c, w->x, n);
     if (plan->reached < 0) start_laws(plan, w->input, plan->time[0], w->x);
@@ -215,8 +219,8 @@ static bool column_given(Plan *plan, const Work *w, double t, size_t j, double m
     return true;
 }
 
-/* f, df/dx and df/dt at the start of a step. */
-static int32_t linearise(Plan *plan, const Work *w, size_t k, double t, double h)
+/* f and df/dx at w->x. */
+static int32_t slopes(Plan *plan, const Work *w, size_t k, double t)
 {
     size_t n = plan->n_states;
     double *before = w->dense1;
@@ -239,6 +243,14 @@ static int32_t linearise(Plan *plan, const Work *w, size_t k, double t, double h
         }
         w->trial[j] = w->x[j];
     }
+    return DONE;
+}
+
+/* f, df/dx and df/dt at the start of a step. */
+static int32_t linearise(Plan *plan, const Work *w, size_t k, double t, double h)
+{
+    size_t n = plan->n_states;
+    TRY(slopes(plan, w, k, t));
     double moved_time = t + 1e-4 * h, moved = moved_time - t;
     TRY(derivatives(plan, w, k, moved_time, w->x, w->f_moved));
     for (size_t i = 0; i < n; i++) w->f_time[i] = (w->f_moved[i] - w->f[i]) / moved;
@@ -323,6 +335,84 @@ static int32_t locate(Plan *plan, const Work *w, size_t k, double t, double *h)
     return set_point(plan, w, k, t + *h, w->end);
 }
 
+#ifdef FMUID_WITH_LAWS
+
+/* Derivatives along the directions, over a step from t to `end` that is accepted: the variational equations s' = df/dx s + df/dp,
+ * by the Radau IIA method of order 5. df/dp compares the instance of a direction with the FMU. */
+static int32_t follow_directions(Plan *plan, const Work *w, size_t k, double t, double end)
+{
+    static const double node[STAGES] = {0.1550510257216822, 0.6449489742783178, 1};
+    static const double share[STAGES][STAGES] = {{0.19681547722366044, -0.06553542585019839, 0.02377097434822015},
+                                                 {0.39442431473908727, 0.29207341166522844, -0.04154875212599793},
+                                                 {0.37640306270046725, 0.5124858261884216, 0.1111111111111111}};
+    PlanWithLaws *run = (PlanWithLaws *)plan;
+    const size_t n = plan->n_states, own = own_states(plan), directions = run->n_directions, size = STAGES * n;
+    const double h = end - t;
+    if (directions == 0 || n == 0) return DONE;
+    double *before = run->room, *point = before + n, *matrix = point + size, *right = matrix + size * size;
+    double *moved = right + size; /* (stages, directions, n) */
+    memcpy(before, w->x, n * sizeof(double));
+    prepare_dense(plan, w);
+    for (size_t i = 0; i < STAGES; i++) {
+        interpolate(plan, w, node[i]);
+        memcpy(point + i * n, w->trial, n * sizeof(double));
+    }
+    for (size_t i = 0; i < STAGES; i++) {
+        double at = i + 1 < STAGES ? t + node[i] * h : end;
+        memcpy(w->x, point + i * n, n * sizeof(double));
+        TRY(slopes(plan, w, k, at));
+        if (!plan->derivative_references) return NOT_DIFFERENTIABLE; /* the FMU has refused to give them */
+        for (size_t r = 0; r < STAGES; r++)
+            for (size_t a = 0; a < n; a++)
+                for (size_t b = 0; b < n; b++)
+                    matrix[(r * n + a) * size + i * n + b] = (r == i && a == b) - h * share[r][i] * w->jacobian[a * n + b];
+        for (size_t d = 0; d < directions; d++) {
+            double *to = moved + (i * directions + d) * n;
+            PlanWithLaws aside = aside_of(plan, run->direction + d);
+            TRY(derivatives_at(&aside.plan, w->input, at, w->x, own, to));
+            TRY(add_laws(&aside.plan, w->input, at, w->x, to));
+            for (size_t a = 0; a < n; a++) to[a] = (to[a] - w->f[a]) / run->direction[d].size;
+        }
+    }
+    memcpy(w->x, before, n * sizeof(double));
+    memcpy(w->end, point + 2 * n, n * sizeof(double));
+    if (!factor(matrix, run->pivots, size)) return NOT_DIFFERENTIABLE;
+    for (size_t d = 0; d < directions; d++) {
+        double *s = run->direction[d].s;
+        for (size_t r = 0; r < STAGES; r++)
+            for (size_t a = 0; a < n; a++) {
+                double sum = 0;
+                for (size_t i = 0; i < STAGES; i++) sum += share[r][i] * moved[(i * directions + d) * n + a];
+                right[r * n + a] = s[a] + h * sum;
+            }
+        solve(matrix, run->pivots, size, right);
+        memcpy(s, right + 2 * n, n * sizeof(double));
+    }
+    return DONE;
+}
+
+/* From the FMU's own states in each direction, where a run begins, to the derivatives of all. */
+void start_directions(Plan *plan)
+{
+    Work w = cut(plan);
+    PlanWithLaws *run = (PlanWithLaws *)plan;
+    for (Direction *one = run->direction; one < run->direction + run->n_directions; one++) {
+        PlanWithLaws aside = aside_of(plan, one);
+        start_laws(&aside.plan, w.input, plan->time[0], one->s);
+        for (size_t i = 0; i < plan->n_states; i++) one->s[i] = (one->s[i] - w.x[i]) / one->size;
+    }
+}
+
+/* Bring the instance of a direction to where the run is, with the states that have moved along it. */
+int32_t move_aside(PlanWithLaws *aside, const Direction *direction)
+{
+    Work w = cut(&aside->plan);
+    for (size_t i = 0; i < aside->plan.n_states; i++) w.trial[i] = w.x[i] + direction->size * direction->s[i];
+    return derivatives_at(&aside->plan, w.input, aside->plan.reached_time, w.trial, own_states(&aside->plan), w.f_moved);
+}
+
+#endif
+
 int32_t begin_model_exchange(Plan *plan)
 {
     Work w = cut(plan);
@@ -402,6 +492,7 @@ int32_t integrate(Plan *plan, size_t k)
         double end = whole ? target : t + step;
         bool enter = false;
         if (step > 0) {
+            TRY(follow_directions(plan, &w, k, t, end));
             TRY(set_point(plan, &w, k, end, w.end));
             TRY(indicators(plan, w.after));
             if (crossed(plan, &w)) {
@@ -432,6 +523,7 @@ int32_t integrate(Plan *plan, size_t k)
             if (terminate) return TERMINATED;
         }
         if (enter || (time_event && whole)) {
+            if (has_directions(plan)) return NOT_DIFFERENTIABLE;
             if (++events > MAX_EVENTS) return EVENTS_DO_NOT_SETTLE;
             if (step <= 0) CALL(SET_TIME, int32_t (*)(Instance, double), plan->instance, t);
             CALL(ENTER_EVENT_MODE, Plain, plan->instance);

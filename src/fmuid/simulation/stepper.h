@@ -23,7 +23,8 @@ enum {
 enum { SAMPLES = 8 }; /* whose derivatives are put among the outputs together: that fills lines of the cache */
 
 /* Why a run ended; mirrored in stepper.py. */
-enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE, LOOP_NOT_SOLVED };
+enum { DONE, PAUSED, CALL_FAILED, NOT_FINITE, TERMINATED, EARLY_RETURN, STEP_TOO_SMALL, EVENTS_DO_NOT_SETTLE, LOOP_NOT_SOLVED,
+       NOT_DIFFERENTIABLE = 100 }; /* the last one only inside of FMUs with laws */
 
 typedef struct {           /* variables of one type, set or read by one call */
     void *function;        /* fmi2SetReal, fmi3GetFloat64, ... */
@@ -203,11 +204,14 @@ size_t added_states(const Plan *plan); /* of plan->n_states, the last ones */
 bool parameters_vary(const Plan *plan); /* then the FMU's own directional derivatives are not those of the model */
 int32_t add_laws(Plan *plan, const double *input, double t, const double *x, double *f);
 void start_laws(const Plan *plan, const double *input, double t, double *x);
+bool has_directions(const Plan *plan); /* derivatives of the states are integrated as well */
 #else
 #define added_states(plan) ((void)(plan), (size_t)0)
 #define parameters_vary(plan) ((void)(plan), false)
 #define add_laws(plan, input, t, x, f) DONE
 #define start_laws(plan, input, t, x) ((void)0)
+#define has_directions(plan) ((void)(plan), false)
+#define follow_directions(plan, w, k, t, end) DONE
 #endif
 
 #endif
