@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from fmuid.cli.app import run
 from fmuid.diagnosis.diagnose import Found
 from fmuid.simulation.fmu import load_fmu
 from tests.foreign_fmus.plants import PLANTS, Gap, plant_fmu, write_logs
+from tests.gallery.test_habits import edited
 from tests.reference.plain_fmpy import simulate_fmu
 
 RIGS = {
@@ -61,6 +63,24 @@ def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path
     assert laws == ["i.voltage_drop", "i.voltage_drop_width"]  # and no law that was only tried
     assert_same_predictions(found, corrected.path)
     assert run(["check", str(tmp_path / "out" / "corrected"), "--quiet"]) == 0
+
+
+def test_runs_may_start_elsewhere_than_the_fmu_does(tmp_path, monkeypatch):
+    """Their room starts 4 K warmer; the FMU calculates where its wall starts, so only the room's start is estimated."""
+    monkeypatch.setitem(PLANTS, "HOUSE", replace(PLANTS["HOUSE"], start=(297.0, 290.0)))
+    logs = write_logs("HOUSE", Gap(RIGS["HOUSE"][1]), tmp_path / "logs", runs=3, samples=150)
+    monkeypatch.undo()
+    wall = 'name="T_wall" valueReference="7" causality="output" variability="continuous"'
+    fmu = edited(
+        plant_fmu("HOUSE", tmp_path),
+        f'{wall} initial="exact"><Real unit="K" start="290.0"/>',
+        f'{wall} initial="calculated"><Real unit="K"/>',
+    )
+    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
+    assert 'segments = "run"' in (tmp_path / "campaign" / "campaign.toml").read_text()
+    found = diagnose(tmp_path / "campaign", out=tmp_path / "out").diagnosis
+    assert found.verdict.effects == (RIGS["HOUSE"][2],)
+    assert any("start from values of T_room that are fitted to each run" in note for note in found.notes)
 
 
 @pytest.mark.slow

@@ -140,8 +140,8 @@ def _library() -> Path:
 
 @cache
 def carrier_version() -> str:
-    """Return a digest of the library in FMUs with laws, which tells those of other versions apart."""
-    return hashlib.sha256(_library().read_bytes()).hexdigest()
+    """Return a digest of what makes FMUs with laws, which tells those of other versions apart."""
+    return hashlib.sha256(b"".join(f.read_bytes() for f in (_library(), Path(__file__)))).hexdigest()
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
@@ -283,12 +283,19 @@ class _Contents:
 
     def _declared(self, variables: Element, kinds: Mapping[str, DescribedVariable]) -> dict[str, list[int]]:
         """Declare all variables, and return the indices of those that the structure lists."""
-        structure: dict[str, list[int]] = {"Outputs": [], "InitialUnknowns": []}
+        places = {v.name: i for i, (v, _) in enumerate(self._scalars, start=1)}
+        state_of = {d: places[s] for s, d in self.fmu.derivatives.items() if s in places and d in places}
+        structure: dict[str, list[int]] = {"Outputs": [], "Derivatives": [], "InitialUnknowns": []}
+        structure["Derivatives"] = [places[d] for d in state_of]
+        of_states = {*state_of.values(), *structure["Derivatives"]}
         for index, (variable, slot) in enumerate(self._scalars, start=1):
             initial = _declare(variables, index - 1, variable, slot, kinds.get(variable.name))
+            if variable.name in state_of:
+                variables[-1][0].set("derivative", str(state_of[variable.name]))
             if variable.causality == "output":
                 structure["Outputs"].append(index)
-            if initial in ("approx", "calculated") and variable.causality in ("output", "calculatedParameter"):
+            unknown = variable.causality in ("output", "calculatedParameter") or index in of_states
+            if initial in ("approx", "calculated") and unknown:
                 structure["InitialUnknowns"].append(index)
         for reference, one in enumerate([*self._parameters, *self._law_inputs], start=len(self._scalars)):
             attributes = {"name": one.name, "valueReference": str(reference), "description": one.description}
