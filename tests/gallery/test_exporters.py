@@ -23,7 +23,6 @@ from tests.conftest import ROOT
 from tests.simulation.test_other_tools import INDEPENDENT, MODEL, built
 
 REFERENCE_FMUS = ROOT / os.environ.get("REFERENCE_FMUS", "../shared/Reference-FMUs")
-pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)
@@ -75,14 +74,22 @@ def logs_of(
     return sorted(folder.glob("*.csv"))
 
 
+ALONE = ["--workers", "0", "--quiet"]
+
+
+def identified(fmu: Path, logs: list[Path], folder: Path) -> dict[str, float]:
+    """Run init and identify and return the identified values."""
+    campaign = folder / "campaign"
+    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(campaign), *ALONE]) == 0
+    assert run(["identify", str(campaign), "--out", str(folder / "run"), *ALONE]) == 0
+    return json.loads((folder / "run" / "result.json").read_text())["parameters"]
+
+
 def answers(fmu: Path, logs: list[Path], folder: Path) -> tuple[dict[str, float], dict]:
     """Run init, identify and diagnose and return the identified values and the verdict."""
-    campaign, alone = folder / "campaign", ["--workers", "0", "--quiet"]
-    assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(campaign), *alone]) == 0
-    assert run(["identify", str(campaign), "--out", str(folder / "run"), *alone]) == 0
-    assert run(["diagnose", str(campaign), "--out", str(folder / "diagnosis"), *alone]) == 0
-    result = json.loads((folder / "run" / "result.json").read_text())
-    return result["parameters"], json.loads((folder / "diagnosis" / "diagnosis.json").read_text())["verdict"]
+    values = identified(fmu, logs, folder)
+    assert run(["diagnose", str(folder / "campaign"), "--out", str(folder / "diagnosis"), *ALONE]) == 0
+    return values, json.loads((folder / "diagnosis" / "diagnosis.json").read_text())["verdict"]
 
 
 @pytest.mark.parametrize(
@@ -128,6 +135,7 @@ CART = """
 """
 
 
+@pytest.mark.slow
 def test_a_law_is_found_in_model_exchange_by_pythonfmu3(tmp_path):
     builder = pytest.importorskip("pythonfmu3.builder").FmuBuilder
     fmu = built(builder, "cart", CART, tmp_path)
@@ -144,22 +152,41 @@ def test_a_law_is_found_in_model_exchange_by_pythonfmu3(tmp_path):
     assert verdict["effects"] == ["quadratic@der(v)"]
 
 
-def test_a_law_is_found_in_model_exchange_by_openmodelica(tmp_path):
-    """A mass on a spring and a damper, exported by OpenModelica 1.19; the machine has drag as well."""
+def mass_and_damper(folder: Path, drag: float, samples: int) -> tuple[Path, list[Path]]:
+    """A mass on a spring and a damper, exported by OpenModelica 1.19, and logs of a machine that may have drag."""
     spec = importlib.util.find_spec("gemseo_fmu")  # its dependencies are not needed
     if spec is None or spec.origin is None:
         pytest.skip("needs the FMUs in gemseo-fmu; pip install --no-deps gemseo-fmu")
-    fmu = tmp_path / "Mass_Damper.fmu"
+    fmu = folder / "Mass_Damper.fmu"
     shutil.copy(Path(spec.origin).parent / "problems" / "fmu_files" / "linux" / fmu.name, fmu)
 
     def plant(time: np.ndarray, u: np.ndarray) -> np.ndarray:
         def slope(x: np.ndarray, f: float) -> list[float]:
-            return [x[1], (f - 9000 * (x[0] + 0.5) - 12 * x[1] - 5 * x[1] * abs(x[1])) / 1.1]
+            return [x[1], (f - 9000 * (x[0] + 0.5) - 12 * x[1] - drag * x[1] * abs(x[1])) / 1.1]
 
         return integrated(slope, [0.0, 0.0], time, u)[0]
 
-    logs = logs_of(plant, tmp_path / "logs", input="f [N]", output="y [m]", size=1500.0, noise=1e-3, duration=3.0)
-    values, verdict = answers(fmu, logs, tmp_path)
+    logs = logs_of(
+        plant,
+        folder / "logs",
+        input="f [N]",
+        output="y [m]",
+        size=1500.0,
+        noise=1e-3,
+        duration=3.0,
+        samples=samples,
+    )
+    return fmu, logs
+
+
+def test_model_exchange_by_openmodelica_is_identified(tmp_path):
+    values = identified(*mass_and_damper(tmp_path, 0.0, 101), tmp_path)
+    assert values["damper.d"] / values["mass.m"] == pytest.approx(12 / 1.1, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_law_is_found_in_model_exchange_by_openmodelica(tmp_path):
+    values, verdict = answers(*mass_and_damper(tmp_path, 5.0, 301), tmp_path)
     assert "damper.d" in values
     assert verdict["effects"] == ["quadratic@der(damper.v_rel)"]
 
@@ -179,6 +206,7 @@ def reference_fmu(name: str, fmi: int, folder: Path) -> Path:
     return folder / f"{name}.fmu"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_drag_of_a_bouncing_ball_is_found_in_a_reference_fmu(tmp_path, fmi):
     """A ball of the Reference-FMUs, that has no drag, with the events of its impacts."""
