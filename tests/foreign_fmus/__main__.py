@@ -1,7 +1,7 @@
 """Diagnose rigs whose models are FMUs without source, and score the answers.
 
-``python -m tests.foreign_fmus OUT [--only PATTERN] [--fmi 2|3] [--seed N]`` writes an answer for each case to
-``OUT/answers.jsonl`` and continues where it was interrupted.
+``python -m tests.foreign_fmus OUT [--only PATTERN] [--fmi 2|3] [--source] [--seed N]`` writes an answer for each case
+to ``OUT/answers.jsonl`` and continues where it was interrupted. The yardstick is `--source`: the same models in Modelica.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import fnmatch
 import json
+import re
 import tempfile
 import time
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from fmuid.cli.app import run
 from tests.foreign_fmus.gaps import GAPS
 from tests.foreign_fmus.plants import plant_fmu, write_logs
 
+SOURCE = Path(__file__).with_name("Plants.mo")
 _RUNS, _REPEATS, _SAMPLES = 4, 3, 250
 
 
@@ -35,13 +37,14 @@ class Answer:
     seconds: float
 
 
-def diagnosed(rig: str, truth: str, folder: Path, fmi: int = 2, seed: int = 0) -> Answer:
-    """Record a rig, diagnose it with the FMU alone, and compare the answer with the truth."""
+def diagnosed(rig: str, truth: str, folder: Path, fmi: int = 2, seed: int = 0, source: bool = False) -> Answer:
+    """Record a rig, diagnose it with the FMU alone or with its source, and compare the answer with the truth."""
     logs = write_logs(rig, GAPS[rig][truth], folder / "logs", _RUNS, _REPEATS, _SAMPLES, seed)
-    fmu, campaign, out = plant_fmu(rig, folder, fmi), folder / "campaign", folder / "out"
+    campaign, out = folder / "campaign", folder / "out"
+    model = [str(SOURCE), "--class", f"Plants.{rig.title()}"] if source else [str(plant_fmu(rig, folder, fmi))]
     begun = time.process_time()
     alone = ["--workers", "0", "--quiet"]
-    code = run(["init", *map(str, logs), "--model", str(fmu), "--out", str(campaign), *alone])
+    code = run(["init", *map(str, logs), "--model", *model, "--out", str(campaign), *alone])
     code = code or run(["diagnose", str(campaign), "--out", str(out), *alone])
     seconds = round(time.process_time() - begun, 1)
     if code:
@@ -49,6 +52,8 @@ def diagnosed(rig: str, truth: str, folder: Path, fmi: int = 2, seed: int = 0) -
     verdict = json.loads((out / "diagnosis.json").read_text())["verdict"]
     named = tuple(dict.fromkeys([*verdict["effects"], *(n for one in verdict["one_of"] for n in one)]))
     law, port = truth.split("@")
+    if source:  # the balance of the equation whose state it is
+        port = re.sub(r"der\((\w+)\)", r"\1.balance", port)
     places = {n.partition("@")[2] for n in named} if named else set(verdict["ports"])
     place = verdict["kind"] != "complete" and places == {port}
     return Answer(rig, truth, verdict["kind"], named, place, place and f"{law}@{port}" in named, seconds)
@@ -60,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--only", default="*", help="pattern of rig/effect")
     parser.add_argument("--fmi", type=int, default=2, choices=(2, 3))
+    parser.add_argument("--source", action="store_true", help="diagnose the models' Modelica source")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
@@ -71,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if known or not fnmatch.fnmatch(f"{rig}/{truth}", given.only):
                 continue
             with tempfile.TemporaryDirectory(dir=given.out) as folder:
-                rows.append(asdict(diagnosed(rig, truth, Path(folder), given.fmi, given.seed)))
+                rows.append(asdict(diagnosed(rig, truth, Path(folder), given.fmi, given.seed, given.source)))
             with file.open("a") as lines:
                 lines.write(json.dumps(rows[-1]) + "\n")
             print(rows[-1], flush=True)
