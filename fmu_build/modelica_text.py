@@ -49,8 +49,20 @@ _BINDING |= dict.fromkeys(("^", ".^"), 7)
 _ATOM = 8
 
 
-def modelica_text(flat: FlatModel, name: str, comment: Sequence[str] = ()) -> str:
+def modelica_text(
+    flat: FlatModel,
+    name: str,
+    comment: Sequence[str] = (),
+    *,
+    components: Sequence[str] = (),
+    connections: Sequence[str] = (),
+) -> str:
     """Return a flat model as the source of the model `name`, with lines of comment on top.
+
+    Parameters
+    ----------
+    components, connections
+        Declarations of components and their equations, as Modelica, in addition to those of the model.
 
     Raises
     ------
@@ -64,10 +76,11 @@ def modelica_text(flat: FlatModel, name: str, comment: Sequence[str] = ()) -> st
         lines += _indented(_function(flat, function))
     for variable in flat.variables.values():
         lines.append(f"{_INDENT}{_declaration(flat, variable)}")
+    lines += _indented(components)
     lines += _section("initial equation", (_equation(e) for e in flat.initial_equations))
     for algorithm in flat.initial_algorithms:
         lines += _section("initial algorithm", _statements(algorithm.statements, ":="))
-    equations = [_equation(e) for e in flat.equations]
+    equations = [*connections, *map(_equation, flat.equations)]
     equations += [line for when in flat.whens for line in _statement(when, "=")]
     equations += [line for one in flat.asserts for line in _statement(one, "=")]
     lines += _section("equation", equations)
@@ -85,7 +98,8 @@ def _section(keyword: str, lines: Iterator[str] | Sequence[str]) -> list[str]:
     return [keyword, *inside] if inside else []
 
 
-def _name(name: str) -> str:
+def name_text(name: str) -> str:
+    """Return the name of a flat variable as Modelica, in quotes if it has a path."""
     if name.isidentifier() and name.isascii():
         return name
     escaped = name.replace("\\", "\\\\").replace("'", "\\'")
@@ -121,7 +135,7 @@ def _declaration(flat: FlatModel, v: Variable) -> str:
         f"{key} = {_string(text)}" for key, text in changes.items() if text is not None and v.type == "Real"
     ]
     values = {"start": v.start, "min": v.min, "max": v.max, "nominal": v.nominal}
-    modifiers += [f"{_each(v, e)}{key} = {_text(e)}" for key, e in values.items() if e is not None]
+    modifiers += [f"{_each(v, e)}{key} = {expression_text(e)}" for key, e in values.items() if e is not None]
     if v.fixed is not None:
         same = len(set(v.fixed)) == 1
         value = _truth(v.fixed[0]) if same else f"{{{', '.join(map(_truth, v.fixed))}}}"
@@ -129,8 +143,8 @@ def _declaration(flat: FlatModel, v: Variable) -> str:
     if v.state_select != "default" and v.type == "Real":
         modifiers.append(f"stateSelect = StateSelect.{v.state_select}")
     inside = f"({', '.join(modifiers)})" if modifiers else ""
-    value = "" if v.binding is None else f" = {_text(v.binding)}"
-    return f"{' '.join([*words, v.type, _name(v.name)])}{shape}{inside}{value}{_description(v.description)};"
+    value = "" if v.binding is None else f" = {expression_text(v.binding)}"
+    return f"{' '.join([*words, v.type, name_text(v.name)])}{shape}{inside}{value}{_description(v.description)};"
 
 
 def _each(v: Variable, e: Expression) -> str:
@@ -160,13 +174,13 @@ def _function(flat: FlatModel, function: Function) -> Iterator[str]:
 def _formal(flat: FlatModel, prefix: str, formal: Formal) -> str:
     if formal.fields is not None:
         raise flat.error(f"'{formal.name}' is a record of a function", formal.at)
-    shape = ", ".join(":" if size is None else _text(size) for size in formal.shape)
-    value = "" if formal.default is None else f" := {_text(formal.default)}"
-    return f"{prefix} {formal.type} {_name(formal.name)}{f'[{shape}]' if shape else ''}{value};"
+    shape = ", ".join(":" if size is None else expression_text(size) for size in formal.shape)
+    value = "" if formal.default is None else f" := {expression_text(formal.default)}"
+    return f"{prefix} {formal.type} {name_text(formal.name)}{f'[{shape}]' if shape else ''}{value};"
 
 
 def _equation(equation: Equation) -> str:
-    return f"{_text(equation.left)} = {_text(equation.right)};"
+    return f"{expression_text(equation.left)} = {expression_text(equation.right)};"
 
 
 def _statements(statements: Sequence[Statement], sign: str) -> list[str]:
@@ -176,17 +190,17 @@ def _statements(statements: Sequence[Statement], sign: str) -> list[str]:
 def _statement(one: Statement, sign: str) -> list[str]:
     match one:
         case Assign():
-            return [f"{_text(one.target)} {sign} {_text(one.value)};"]
+            return [f"{expression_text(one.target)} {sign} {expression_text(one.value)};"]
         case AssignMany(targets=targets, call=call):
-            names = ", ".join("" if t is None else _text(t) for t in targets)
-            return [f"({names}) {sign} {_text(call)};" if targets else f"{_text(call)};"]
+            names = ", ".join("" if t is None else expression_text(t) for t in targets)
+            return [f"({names}) {sign} {expression_text(call)};" if targets else f"{expression_text(call)};"]
         case Reinit(state=state, value=value):
-            return [f"reinit({_text(state)}, {_text(value)});"]
+            return [f"reinit({expression_text(state)}, {expression_text(value)});"]
         case Assert(condition=condition, message=message, warning=warning):
             level = ", AssertionLevel.warning" if warning else ""
-            return [f"assert({_text(condition)}, {_text(message)}{level});"]
+            return [f"assert({expression_text(condition)}, {expression_text(message)}{level});"]
         case Terminate(message=message):
-            return [f"terminate({_text(message)});"]
+            return [f"terminate({expression_text(message)});"]
         case Return() | Break():
             return [f"{type(one).__name__.lower()};"]
         case _:
@@ -200,7 +214,7 @@ def _compound(one: IfStatement | WhenStatement | ForStatement | WhileStatement, 
     if isinstance(one, ForStatement):
         keyword, inside = "for", ", ".join(_iterator(i) for i in one.iterators)
     else:
-        keyword, inside = "while", _text(one.condition)
+        keyword, inside = "while", expression_text(one.condition)
     return [f"{keyword} {inside} loop", *_indented(_statements(one.body, sign)), f"end {keyword};"]
 
 
@@ -210,17 +224,18 @@ def _branches(
     lines = []
     for k, (condition, body) in enumerate(branches):
         word = keyword if k == 0 else f"else{keyword}"
-        lines.append("else" if condition is None else f"{word} {_text(condition)} then")
+        lines.append("else" if condition is None else f"{word} {expression_text(condition)} then")
         lines += _indented(_statements(body, sign))
     return [*lines, f"end {keyword};"]
 
 
 def _iterator(iterator: tuple[str, Expression | None]) -> str:
     name, values = iterator
-    return name if values is None else f"{name} in {_text(values)}"
+    return name if values is None else f"{name} in {expression_text(values)}"
 
 
-def _text(e: Expression) -> str:
+def expression_text(e: Expression) -> str:
+    """Return an expression of a flat model as Modelica."""
     return _bound(e)[0]
 
 
@@ -235,7 +250,7 @@ def _bound(e: Expression) -> tuple[str, int]:
         case Literal(value=value):
             return _literal(value)
         case Reference(parts=parts):
-            return ".".join(f"{_name(p.name)}{_subscripts(p.subscripts)}" for p in parts), _ATOM
+            return ".".join(f"{name_text(p.name)}{_subscripts(p.subscripts)}" for p in parts), _ATOM
         case Subscripted(base=base, subscripts=subscripts):
             return f"{_inside(base, _ATOM)}{_subscripts(subscripts)}", _ATOM
         case Unary() | Binary() | If() | Range():
@@ -267,8 +282,8 @@ def _operation(e: Unary | Binary | If | Range) -> tuple[str, int]:
             sides = _inside(left, binding + (binding in (4, 7))), _inside(right, binding + 1)
             return f"{sides[0]} {operator} {sides[1]}", binding
         case If(branches=branches, otherwise=otherwise):
-            first, *others = (f"if {_text(c)} then {_text(v)}" for c, v in branches)
-            return " ".join([first, *(f"else{o}" for o in others), f"else {_text(otherwise)}"]), 0
+            first, *others = (f"if {expression_text(c)} then {expression_text(v)}" for c, v in branches)
+            return " ".join([first, *(f"else{o}" for o in others), f"else {expression_text(otherwise)}"]), 0
         case Range(start=start, step=step, stop=stop):
             return ":".join(_inside(part, 5) for part in (start, step, stop) if part is not None), 0
 
@@ -276,16 +291,16 @@ def _operation(e: Unary | Binary | If | Range) -> tuple[str, int]:
 def _collection(e: Expression) -> tuple[str, int]:
     match e:
         case Call(function=function, arguments=arguments):
-            given = ", ".join(_text(a) for a in arguments if a is not None)
+            given = ", ".join(expression_text(a) for a in arguments if a is not None)
             return f"{_function_name(function)}({given})", _ATOM
         case ArrayOf(items=items):
-            return f"{{{', '.join(_text(i) for i in items)}}}", _ATOM
+            return f"{{{', '.join(expression_text(i) for i in items)}}}", _ATOM
         case Matrix(rows=rows):
-            return f"[{'; '.join(', '.join(_text(i) for i in row) for row in rows)}]", _ATOM
+            return f"[{'; '.join(', '.join(expression_text(i) for i in row) for row in rows)}]", _ATOM
         case TupleOf(items=items):
-            return f"({', '.join('' if i is None else _text(i) for i in items)})", _ATOM
+            return f"({', '.join('' if i is None else expression_text(i) for i in items)})", _ATOM
         case Comprehension(element=element, iterators=iterators):
-            return f"{_text(element)} for {', '.join(_iterator(i) for i in iterators)}", 0
+            return f"{expression_text(element)} for {', '.join(_iterator(i) for i in iterators)}", 0
         case _:
             raise ModelicaError(f"{type(e).__name__} cannot be written as source", where=_place(e))
 
@@ -295,4 +310,4 @@ def _place(e: Node) -> str:
 
 
 def _subscripts(subscripts: Sequence[Expression]) -> str:
-    return f"[{', '.join(_text(s) for s in subscripts)}]" if subscripts else ""
+    return f"[{', '.join(expression_text(s) for s in subscripts)}]" if subscripts else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
+from pathlib import Path
 from types import SimpleNamespace
 
 import jsonschema
@@ -12,11 +13,16 @@ import pytest
 
 import fmuid
 from fmu_build.build import build
+from fmu_build.modelica_text import modelica_text
+from fmuid.core.campaign import ModelSource
+from fmuid.diagnosis.table_blocks import with_table_blocks
 from fmuid.diagnosis.verdict import Closure
 from fmuid.diagnosis_pipeline import nearly_explained
 from fmuid.discovery.terms import Quantity, table
+from fmuid.simulation.model_source import flat_model
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 
+STANDARD = Path(__file__).parents[1] / "fmu_build" / "standard"
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
 
@@ -70,6 +76,44 @@ def test_a_table_is_the_line_between_its_knots_and_constant_beyond():
     np.testing.assert_allclose(values @ courses, np.interp(at, knots, values), atol=1e-12)
 
 
+TABLED = """
+model Tabled "A store that loses what a table says"
+  parameter Real loss_size_1 = -1.5;
+  parameter Real loss_size_2 = 0.25;
+  parameter Real loss_size_3 = 2;
+  input Real P(start = 1);
+  output Real T(start = -3, fixed = true);
+equation
+  der(T) = P - noEvent(if abs(loss_size_1) > 0 or abs(loss_size_2) > 0 or abs(loss_size_3) > 0 then
+    loss_size_1*max(0, min(1, (0.5 - T)/2.5)) + loss_size_2*max(0, min((T - (-2))/2.5, (1.25 - T)/0.75))
+    + loss_size_3*max(0, min((T - 0.5)/0.75, 1)) else 0);
+end Tabled;
+"""
+
+
+def test_the_source_of_a_corrected_model_has_tables_as_blocks_of_the_standard_library(tmp_path):
+    (tmp_path / "Tabled.mo").write_text(TABLED)
+    flat = flat_model(ModelSource(tmp_path / "Tabled.mo", "Tabled"))
+    sizes = ("loss_size_1", "loss_size_2", "loss_size_3")
+    changed, (block,) = with_table_blocks(flat, [("other",), sizes])
+    assert (
+        "CombiTable1Ds loss(table = [-2, loss_size_1; 0.5, loss_size_2; 1.25, loss_size_3], " in block.declaration
+    )
+    text = modelica_text(changed, "Blocks", components=[block.declaration], connections=[block.equation])
+    assert "min(" not in text
+    (tmp_path / "Blocks.mo").write_text(text)
+    files = (
+        build(tmp_path / "Tabled.mo", "Tabled", tmp_path),
+        build(tmp_path / "Blocks.mo", "Blocks", tmp_path, roots=[STANDARD]),
+    )
+    time = np.linspace(0.0, 6.0, 121)
+    task = fmuid.Task(time, {"P": 2.0 * np.cos(time)}, ("T",))
+    for values in ({}, dict(zip(sizes, (3.0, -1.0, 0.5), strict=True))):
+        plain, tabled = (fmuid.load_fmu(file).simulate(task, values) for file in files)
+        np.testing.assert_allclose(tabled, plain, atol=1e-6)
+    assert with_table_blocks(flat, [sizes[:2]]) == (flat, ())
+
+
 def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(tmp_path):
     """Without repeats, a loss is named provisionally, and the table refines it."""
     answer, out = diagnosed(tmp_path, lambda value, wind: window(value))
@@ -100,7 +144,9 @@ def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path):
         "A table learned at T.balance over temperature predicts it, which is no law" in answer["verdict"]["text"]
     )
     assert (out / "figures" / "tables.png").is_file()
-    assert "max(0, min(" in (out / "corrected" / "RoomCorrected.mo").read_text()
+    corrected = (out / "corrected" / "RoomCorrected.mo").read_text()
+    assert "Modelica.Blocks.Tables.CombiTable1Ds 'T.balance.learned_table'(table = [" in corrected
+    assert "max(0, min(" not in corrected
 
 
 SHAFT = """

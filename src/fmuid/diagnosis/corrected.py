@@ -28,6 +28,7 @@ from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import Subject, carrier, model_of, with_states
+from fmuid.diagnosis.table_blocks import with_table_blocks
 from fmuid.diagnosis.variants import acts_on, model_exchange, with_laws
 from fmuid.effects.effect import Effect
 from fmuid.identification.identified_models import start_values, write_models
@@ -236,16 +237,30 @@ class _Document:
             v = variables.get(name)
             if v is not None and not v.shape and v.variability == "parameter" and constant(v.binding) is not None:
                 variables[name] = replace(v, binding=number(value))
+        flat, blocks = with_table_blocks(
+            replace(flat, variables=variables), [tuple(u.name for u in e.unknowns) for e in self.effects]
+        )
+        as_blocks = {block.sizes for block in blocks}
         lines = [f"{source.class_name} of {source.file.name}, flattened, with what fmuid diagnose found:"]
         for effect in self.effects:
             lines.append(f"  {effect.id}: {effect.description}")
-            if effect.expression:
+            if tuple(u.name for u in effect.unknowns) in as_blocks:
+                lines.append(
+                    f"    {effect.acts} at {effect.port}: a CombiTable1Ds of the Modelica Standard Library"
+                )
+            elif effect.expression:
                 lines.append(f"    {effect.acts} at {effect.port}: {effect.expression}")
                 lines += [f"    and flow: {effect.flow}"] if effect.flow else []
                 lines += [f"    and flow out of its first node: {effect.reaction}"] if effect.reaction else []
             elif all(self._of_a_signal(u.name) for u in effect.unknowns):
                 lines.append("    acts between the model and its signals, so it is not part of this source")
-        return modelica_text(replace(flat, variables=variables), f"{_stem(source)}Corrected", lines)
+        return modelica_text(
+            flat,
+            f"{_stem(source)}Corrected",
+            lines,
+            components=[block.declaration for block in blocks],
+            connections=[block.equation for block in blocks],
+        )
 
     def _of_a_signal(self, name: str) -> bool:
         known = any(name in case.simulator.variables for case in self.subject.model.cases)

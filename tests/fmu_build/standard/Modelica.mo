@@ -55,6 +55,24 @@ package Modelica "Stand-in: the names and shapes that models of drives use of th
         external "C" uMax = ModelicaStandardTables_CombiTable1D_maximumAbscissa(tableID);
         end getTable1DAbscissaUmax;
       end Internal;
+
+      block CombiTable1Ds "A table over one input, in the Standard Library's manner"
+        import Modelica.Blocks.Types.{ExternalCombiTable1D, Extrapolation, Smoothness};
+        parameter Real table[:, :];
+        parameter Integer columns[:] = 2:size(table, 2);
+        parameter Smoothness smoothness = Smoothness.LinearSegments;
+        parameter Extrapolation extrapolation = Extrapolation.LastTwoPoints;
+        input Real u;
+        output Real y[size(columns, 1)];
+      protected
+        final parameter ExternalCombiTable1D tableID = ExternalCombiTable1D(tableName = "NoName", fileName = "NoName",
+          table = table, columns = columns, smoothness = smoothness, extrapolation = extrapolation,
+          verboseRead = false);
+      equation
+        for i in 1:size(columns, 1) loop
+          y[i] = Internal.getTable1DValue(tableID, i, u);
+        end for;
+      end CombiTable1Ds;
     end Tables;
   end Blocks;
 
