@@ -67,4 +67,6 @@ def _show(page: Any, tab: str) -> None:
         "(e) => RegExp(words).test(e.textContent))",
         arg=READY[tab],
     )
-    page.wait_for_timeout(4000)  # figures and curves are drawn
+    if tab != "Prepare":
+        page.locator("figure .plot .main-svg:visible").first.wait_for()
+    page.wait_for_timeout(4000)  # lines and curves are drawn
