@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from fmu_build.errors import ModelicaError
-from fmuid.cli.libraries import Roots, found, shipped_library
+from fmuid.cli.libraries import Roots, given_or_included, shipped_library
 from fmuid.cli.output import Json, Printer, Quiet, writable
 
 Fmi = Literal["2", "3"]
@@ -34,7 +34,7 @@ def build(
     from fmu_build import build as build_fmu
 
     printer = Printer(quiet, json)
-    file = found(source)
+    file = given_or_included(source)
     if not file.exists():
         packages = sorted(p.parent.name for p in shipped_library().glob("*/package.mo"))
         fix = f"check the path, or choose an included package: {', '.join(packages)}"

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 
-def found(path: Path) -> Path:
+def given_or_included(path: Path) -> Path:
     """Return `path`; where there is none, the shipped folder ``modelica``, or the package of that name in it."""
     library = shipped_library()
     shipped = library.joinpath(*path.parts[1:]) if path.parts[:1] == ("modelica",) else library / path
@@ -29,6 +29,6 @@ Roots = Annotated[
         "--root",
         metavar="FOLDER",
         help="Folder with libraries of the Modelica model (repeat); modelica is the included one.",
-        callback=lambda folders: [found(folder) for folder in folders or ()],
+        callback=lambda folders: [given_or_included(folder) for folder in folders or ()],
     ),
 ]
