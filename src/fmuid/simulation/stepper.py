@@ -9,11 +9,14 @@ from __future__ import annotations
 import ctypes
 import functools
 import time
+from array import array
 from collections.abc import Callable
 from ctypes import POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
 from enum import IntEnum
 from importlib.util import find_spec
 from typing import Protocol, TypeVar
+
+import numpy as np
 
 from fmuid.core.errors import FmuError
 
@@ -27,7 +30,7 @@ class _Run(Protocol):
 T = TypeVar("T", bound=_Run)
 _REINSTALL = "install fmuid again, in a clone with `pip install --editable .`"
 _SLICE = 0.1  # s between checks for Ctrl-C
-_PATIENCE, _SLOWER = 2.0, 100.0  # s, and times the mean of the runs that ended: see `Patience`
+_PATIENCE, _SLOWER = 2.0, 100.0  # s, and times the median of the runs that ended: see `Patience`
 FUNCTIONS = (
     "RESET",
     "SETUP_EXPERIMENT",
@@ -202,12 +205,12 @@ class Patience:
     """How long the simulations of one model may take, learned from those that end.
 
     A search may try parameters at which a model does next to nothing but switch to and fro. Such a run fails
-    when it has taken 2 s of processor time, and 100 times as long a communication point as the runs that ended
-    took on average. Until a run has ended there is no limit.
+    when it has taken 2 s of processor time, and 100 times as long a communication point as most runs that ended
+    (their median). Until a run has ended there is no limit.
     """
 
     def __init__(self) -> None:
-        self._taken, self._points = 0.0, 0  # s of processor time, and communication points, of runs that ended
+        self._taken = array("d")  # s of processor time for each communication point, of runs that ended
 
     def run_to_end(self, run: Callable[[T, int, float], int], subject: T, n_times: int) -> int:
         """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect.
@@ -219,14 +222,12 @@ class Patience:
         taken = min(subject.taken, _SLICE)
         if outcome == Outcome.PAUSED:
             begun = time.thread_time() - taken
+            usual = float(np.median(self._taken)) * n_times if self._taken else np.inf
             while outcome == Outcome.PAUSED:
-                if self._points:
-                    limit = max(_PATIENCE, _SLOWER * self._taken / self._points * n_times)
-                    if time.thread_time() - begun > limit:
-                        return Outcome.TOO_SLOW
+                if time.thread_time() - begun > max(_PATIENCE, _SLOWER * usual):
+                    return Outcome.TOO_SLOW
                 outcome = run(subject, 1, _SLICE)
             taken = time.thread_time() - begun
         if outcome == Outcome.DONE:
-            self._taken += taken
-            self._points += n_times
+            self._taken.append(taken / n_times)
         return outcome
