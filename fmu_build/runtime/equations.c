@@ -44,9 +44,10 @@ static int newton(Instance *me, double t, const double *x, const double *u) {
     static const double CONVERGED = 1e-9;  /* the error after this correction is about its square */
     static const double ROUNDING = 1e-6;   /* corrections that are smaller and no longer shrink are rounding */
     static const double SHORTEST = 1e-12;  /* part of a correction */
+    static const int STALLED = 3;          /* corrections of which no part helps, as at a kink, before it is given up */
     double r[LENGTH(NY)], old[LENGTH(NY)], next[LENGTH(NY)];
-    double *y = me->s.y;
-    for (int iteration = 0; iteration < 100; iteration++) {
+    double *y = me->s.y, part;
+    for (int iteration = 0, stalled = 0; iteration < 100 && stalled < STALLED; iteration++) {
         environment_at(me, &t, x, u);
         me->res[0] = r;
         me->res[1] = me->drdy;
@@ -60,7 +61,7 @@ static int newton(Instance *me, double t, const double *x, const double *u) {
         memcpy(old, y, sizeof old);
         for (int i = 0; i < NY; i++) y[i] -= r[i];
         if (size <= CONVERGED) return !all_finite(y, NY);
-        for (double part = 1.0; part > SHORTEST; part *= 0.5) {
+        for (part = 1.0; part > SHORTEST; part *= 0.5) {
             for (int i = 0; i < NY; i++) y[i] = old[i] - part * r[i];
             environment_at(me, &t, x, u);
             me->res[0] = next;
@@ -71,6 +72,7 @@ static int newton(Instance *me, double t, const double *x, const double *u) {
             if (left < (1.0 - 0.5 * part) * size) break;
             if (size < ROUNDING) return 0;
         }
+        stalled += part <= SHORTEST;
     }
     return 1;
 }
