@@ -267,3 +267,17 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
     assert a.drop == pytest.approx(b.drop, rel=1e-3)
     slopes = np.linalg.norm(exact.jacobian[0] - finite.jacobian[0], axis=0)
     assert np.all(slopes < 2e-2 * np.linalg.norm(finite.jacobian[0], axis=0))
+
+
+def test_exact_derivatives_pass_through_effects_on_signals(slider):
+    fmu = Fmu(slider)
+    task = replace(TASK, tolerance=1e-10)
+    case = measured_case("run", fmu, task, {name: fmu.simulate(task, {})[[k]] for k, name in enumerate("xv")})
+    model = CampaignModel((case,))
+    values = {"m": 0.8, "d": 0.5, "x.lag": 0.05, "v.crosstalk[x]": 0.2, "u.gain": 0.1}
+    exact = model.tangents(values, ["m", "d", "x.lag"])
+    assert set(exact) == {"m", "d"}
+    for name, (slope,) in exact.items():
+        ends = ({**values, name: values[name] + step} for step in (1e-4, -1e-4))
+        (above,), (below,) = (model.predict([end])[0] for end in ends)
+        assert slope == pytest.approx((above - below) / 2e-4, rel=1e-3, abs=1e-3 * np.abs(slope).max())

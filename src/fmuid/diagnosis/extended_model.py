@@ -55,13 +55,17 @@ class _Wanted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Differentiated:
-    """Runs that give tangents; per parameter, its difference and end points; per run, the directions moved."""
+    """Runs that give tangents; per parameter, its difference and end points.
+
+    Per run, the directions moved, and the effects on signals outside its simulator.
+    """
 
     jobs: Sequence[Job] = ()
     names: Sequence[str] = ()
     widths: Sequence[float] = ()
     ends: Sequence[Sequence[Mapping[str, float]]] = ()
     moves: Sequence[Sequence[Direction]] = ()
+    outside: Sequence[tuple[Effects, Disturbed | None]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +177,8 @@ class CampaignModel:
     def tangents(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, Prediction]:
         """Return the exact d prediction / d parameter by name, from one run of each case.
 
-        Empty if a model cannot differentiate its runs with respect to these parameters, or if signals are
-        disturbed.
+        Without parameters of effects on signals. Empty if a model cannot differentiate its runs with respect to
+        the others.
         """
         return self.tangents_at([values], names)[0]
 
@@ -188,33 +192,39 @@ class CampaignModel:
 
     def _differentiated(self, values: Mapping[str, float], names: Sequence[str]) -> _Differentiated:
         """Return the runs that give the tangents at a point; none if exact tangents are not available."""
-        plain, disturbed = self._split(values)
+        plain, effects = self._split(values)
         names = [name for name in names if name in plain]
-        if disturbed or not names:
+        if not names:
             return _Differentiated()
         widths = [_WIDTH * (abs(plain[name]) or 1.0) for name in names]
         ends = [
             [{**plain, name: plain[name] + sign * width} for sign in (0.5, -0.5)]
             for name, width in zip(names, widths, strict=True)
         ]
-        jobs, moves = [], []
+        jobs, moves, outside = [], [], []
         for k, case in enumerate(self.cases_at(values)):
             directions = [
                 _direction(self.start_values(case, above), self.start_values(case, below), width)
                 for (above, below), width in zip(ends, widths, strict=True)
             ]
             moved = {name for along, _ in directions for name in along}
-            point = self.start_values(case, plain)
+            point, signal = self._placed(case, plain, effects)
             simulator = self._simulator(case, point)
             if moved and not simulator.differentiates(moved):
                 return _Differentiated()
-            jobs.append((simulator, self._task_along(k, case, directions), point))
+            disturbed = _disturbed(case, k, signal, None)
+            task = self._task_along(k, case, directions)
+            if disturbed is not None:
+                task = replace(_task(_Wanted(k, case, values), disturbed), along=task.along)
+            jobs.append((simulator, task, point))
             moves.append(directions)
-        return _Differentiated(jobs, names, widths, ends, moves)
+            outside.append((signal, disturbed))
+        return _Differentiated(jobs, names, widths, ends, moves, outside)
 
     def _tangents(self, posed: _Differentiated, outcomes: Sequence[Outcome]) -> dict[str, Prediction]:
         tangents: dict[str, list[FloatArray]] = {name: [] for name in posed.names}
-        for case, directions, outcome in zip(self.cases if outcomes else (), posed.moves, outcomes, strict=True):
+        cases = self.cases if outcomes else ()
+        for case, directions, outside, outcome in zip(cases, posed.moves, posed.outside, outcomes, strict=True):
             if isinstance(outcome, SimulationError):
                 return {}
             n = len(case.task.outputs)
@@ -223,7 +233,9 @@ class CampaignModel:
                 posed.names, posed.ends, posed.widths, directions, strict=True
             ):
                 half = 0.5 * width * size * next(slopes) if along else np.zeros_like(base)
-                above, below = case.sensed(base + half, pair[0]), case.sensed(base - half, pair[1])
+                above, below = (
+                    self._shown(case, o, outside, p) for o, p in zip((base + half, base - half), pair, strict=True)
+                )
                 tangents[name].append((above - below) / width)
         return {name: tuple(rows) for name, rows in tangents.items()}
 
@@ -376,19 +388,26 @@ class CampaignModel:
                     refused[keys[-1]] = error
         simulated = {**self._predictor(jobs, self.runner), **refused}
         results: list[Outcome] = []
-        for want, key, (signal, disturbed) in zip(wanted, keys, outside, strict=True):
-            outcome, case = simulated[key], want.case
-            if isinstance(outcome, SimulationError):
-                results.append(outcome)
-                continue
-            shown = np.asarray(outcome)
-            if disturbed is not None:
-                shown = disturbed.readings(shown, [c.differentiated for c in case.channels])
-            sensed = case.sensed(shown, {**self.fixed, **split[id(want.values)][0]})
-            inputs = {n: u[case.lead :] for n, u in case.task.inputs.items()}
-            names = [c.signal for c in case.channels]
-            results.append(disturbed_readings(sensed, names, signal, case.time, inputs))
+        for want, key, disturbing in zip(wanted, keys, outside, strict=True):
+            outcome, plain = simulated[key], split[id(want.values)][0]
+            failed = isinstance(outcome, SimulationError)
+            results.append(outcome if failed else self._shown(want.case, np.asarray(outcome), disturbing, plain))
         return results
+
+    def _shown(
+        self,
+        case: Case,
+        outputs: FloatArray,
+        outside: tuple[Effects, Disturbed | None],
+        plain: Mapping[str, float],
+    ) -> FloatArray:
+        """Return the (C, N) outputs of a simulation as the sensors of a case would show them."""
+        signal, disturbed = outside
+        if disturbed is not None:
+            outputs = disturbed.readings(outputs, [c.differentiated for c in case.channels])
+        sensed = case.sensed(outputs, {**self.fixed, **plain})
+        inputs = {n: u[case.lead :] for n, u in case.task.inputs.items()}
+        return disturbed_readings(sensed, [c.signal for c in case.channels], signal, case.time, inputs)
 
 
 def _of_variables(case: Case, effects: Effects) -> dict[str, float]:
