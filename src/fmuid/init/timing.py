@@ -218,6 +218,7 @@ def _most_likely_gap(changes: FloatArray, moves: FloatArray) -> tuple[int, float
     """Return the sample before which a row is missing most likely, and the log likelihood ratio.
 
     `changes` and `moves` are those of the errors and of the prediction from sample to sample, (outputs, N - 1).
+    The first change is left out: it may be due to a start that differs from the model's.
     """
     scale = 1.4826 * np.nanmedian(np.abs(changes), axis=1, keepdims=True)
     scale = np.maximum(scale, 1e-9)
@@ -229,6 +230,7 @@ def _most_likely_gap(changes: FloatArray, moves: FloatArray) -> tuple[int, float
     share = product / np.maximum(square, 1e-300)
     gain = product - 0.5 * square  # of one whole row
     gain[np.abs(share - 1.0) > _ONE] = -np.inf
+    gain[0] = -np.inf
     k = int(np.argmax(gain))
     left = off.copy()
     left[:, k] -= move[:, k]
