@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from plants import Mass, misread, plant
-from tones import SIGMA, STRENGTHS, TIME, heard
+from tones import SIGMA, STRENGTHS, TIME, Reading, heard
 
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import (
@@ -19,7 +19,7 @@ from fmuid.diagnosis.candidates import (
     without,
 )
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.effect_search import _moved, _pruned, _to_the_end
+from fmuid.diagnosis.effect_search import _moved, _pruned
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
@@ -41,6 +41,26 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
 
 
+def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start_values():
+    """Without the cause, `k` is estimated as -1, where the cause would do nothing."""
+
+    class Switched(Reading):
+        def simulate(self, task, parameters):
+            values = {**task.start_values, **parameters}
+            return super().simulate(task, {**values, "cause": values.get("cause", 0.0) * max(values["k"], 0.0)})
+
+    laws = {"cause": {0: -2.0, 2: 0.3}, "other": {3: 1.0}}
+    subject = heard(laws, laws["cause"])
+    cases = tuple(replace(case, simulator=Switched(laws)) for case in subject.model.cases)
+    subject = replace(subject, model=replace(subject.model, cases=cases))
+    nominal = fit_effects(subject, (), [{}])
+    assert nominal.fit.values["k"] == pytest.approx(-1.0, abs=0.01)
+    assert max(s.drop for s in score_further(subject, nominal) if s.effect == "cause") < 1.0
+    found = diagnose_subject(subject).diagnosis
+    assert found.verdict.effects == ("cause",)
+    assert found.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
+
+
 def test_a_needless_law_is_dropped():
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
     subject = heard(laws, {1: 1.0, 2: 1.0})
@@ -48,15 +68,6 @@ def test_a_needless_law_is_dropped():
     whole = fit_effects(subject, [by_id[name] for name in ("mixture", "first", "second")], [{}])
     found = _pruned(whole, [], partial(without, subject), subject.observed)
     assert found.effects == ("first", "second")
-
-
-def test_further_effects_are_tried_beside_a_refit_that_has_ended():
-    subject = plant({"square": 0.3})
-    effects = [e for e in subject.effects if e.id == "quadratic"]
-    early = fit_effects(subject, effects, [{}], iterations=0)
-    ended = _to_the_end(subject, early)
-    assert early.gap > 0.3 > ended.gap
-    assert _to_the_end(subject, ended) is ended
 
 
 def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():

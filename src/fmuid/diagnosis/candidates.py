@@ -24,7 +24,7 @@ from fmuid.data.noise.spectrum import PiecewiseWhitener, Whitener
 from fmuid.data.noise.transform import from_real_spectrum
 from fmuid.diagnosis.cross_validation import CHORDS, HeldOut, leave_each_out, predicted_left_out
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap, project_off
-from fmuid.diagnosis.refit import Refit, about, descend, refit
+from fmuid.diagnosis.refit import ITERATIONS, Refit, about, descend, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
@@ -202,16 +202,19 @@ def fit_effects(
     effects: Sequence[Effect],
     starts: Sequence[Mapping[str, float]],
     *,
-    iterations: int = 12,
+    iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
     chords: int = CHORDS,
 ) -> Fitted | None:
     """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
     fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance)
-    if fit is None:
-        return None
-    observed, model = subject.observed, subject.model
-    left_out = predicted_left_out(fit, observed, model, chords)
+    return None if fit is None else leaving_out(subject, effects, fit, chords=chords)
+
+
+def leaving_out(subject: Subject, effects: Sequence[Effect], fit: Refit, *, chords: int = CHORDS) -> Fitted:
+    """Judge a refitted model by predictions of left-out experiments, from refits of as many steps."""
+    observed = subject.observed
+    left_out = predicted_left_out(fit, observed, subject.model, chords)
     return Fitted(
         tuple(e.id for e in effects),
         fit,
@@ -228,7 +231,7 @@ def refit_only(
     effects: Sequence[Effect],
     starts: Sequence[Mapping[str, float]],
     *,
-    iterations: int = 12,
+    iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
 ) -> Refit | None:
     """Refit as `fit_effects` does, without predictions of left-out experiments."""
@@ -247,7 +250,7 @@ def refit_only(
     return None
 
 
-def refitted(subject: Subject, fitted: Fitted, *, iterations: int = 12, tolerance: float = 1e-3) -> Fitted:
+def refitted(subject: Subject, fitted: Fitted, *, iterations: int = ITERATIONS, tolerance: float = 1e-3) -> Fitted:
     """Refit a model from where it is; return it as it was if it cannot be simulated."""
     effects = [subject.by_id[id] for id in fitted.effects]
     again = fit_effects(subject, effects, [fitted.fit.values], iterations=iterations, tolerance=tolerance)
@@ -294,6 +297,16 @@ def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
     """
     part, again = refitted_early(subject, fitted)
     return () if again is None else score_further(part, again)
+
+
+def score_at_start(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
+    """Score the effects that `fitted` lacks at the model's start values.
+
+    Without the effect that is missing, a refit may end far away, where that effect no longer promises anything.
+    """
+    effects = [e for e in subject.effects if e.id in fitted.effects]
+    begin = refit_only(subject, effects, [{**fitted.fit.values, **subject.starts}], iterations=0)
+    return () if begin is None else score_further(subject, replace(fitted, fit=begin))
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:

@@ -284,18 +284,23 @@ def predicted_left_out(fit: Refit, observed: Observed, model: _Predicts, chords:
 
     One linear step gives the parameters, within their bounds. Where the simulation does not confirm what the step
     predicts, further steps follow, each shortened until it lowers the cost of the other experiments, until none
-    does (chord method: the Jacobian of the full estimate is kept).
-
+    does (chord method: the Jacobian of the full estimate is kept). With no `chords`, nothing is simulated, and the
+    linear step is the prediction.
     """
     steps = _Steps.of(fit, observed)
     solved = {group: _solved(steps.others(steps.groups == group)) for group in dict.fromkeys(observed.groups)}
     points = {group: steps.moved(move) for group, move in solved.items()}
+    linear = [
+        residual + part @ solved[group]
+        for residual, part, group in zip(steps.residuals, steps.parts, observed.groups, strict=True)
+    ]
+    if not chords:
+        return LeftOutFit(tuple(points[group] for group in observed.groups), tuple(linear))
     wanted = [(e, points[group]) for (e, _), group in zip(observed.folds, observed.groups, strict=True)]
     predicted: list[FloatArray | None] = []
     for k, outcome in enumerate(model.residuals_of(wanted, observed)):
-        linear = steps.residuals[k] + steps.parts[k] @ solved[observed.groups[k]]
         part = None if outcome is None else outcome[observed.folds[k][1]]
-        predicted.append(part if part is not None and _confirmed(part, linear) else None)
+        predicted.append(part if part is not None and _confirmed(part, linear[k]) else None)
     residuals: dict[int, tuple[FloatArray, ...]] = {}  # of all experiments, by the group that a refit left out
     for k, part in enumerate(predicted):
         group, (e, rows) = observed.groups[k], observed.folds[k]
@@ -327,8 +332,8 @@ def _refitted_without(
     """Return the parameters refitted to the folds that are not `out`, and the residuals of every experiment."""
     inside = [k for k in range(len(out)) if not out[k]]
 
-    def cost(residuals: Sequence[FloatArray]) -> float:
-        return sum(
+    def cost(residuals: Sequence[FloatArray], step: FloatArray) -> float:
+        return float(np.sum(steps.after(step)[:, -1] ** 2)) + sum(
             float(steps.repeats[k] * (r @ r))
             for k in inside
             for r in [residuals[observed.folds[k][0]][observed.folds[k][1]]]
@@ -338,21 +343,20 @@ def _refitted_without(
     for _ in range(chords):
         now = [here[e][rows] for e, rows in observed.folds]
         further = _solved(steps.others(out, now, step))
-        lengths = [0.5**n for n in range(_HALVINGS)]
-        points = [steps.moved(step + length * further) for length in lengths]
+        before = cost(here, step)
         better = next(
             (
-                (length, r)
-                for length, point in zip(lengths, points, strict=True)
-                if (r := model.residuals_at(point, observed)) is not None and cost(r) < cost(here)
+                (point, r)
+                for point in (step + 0.5**n * further for n in range(_HALVINGS))
+                if (r := model.residuals_at(steps.moved(point), observed)) is not None and cost(r, point) < before
             ),
             None,
         )
         if better is None:
             break
-        gained = cost(here) - cost(better[1])
-        step, here = step + better[0] * further, list(better[1])
-        if gained < max(_SETTLED, _SHARE * cost(here)):
+        step, here = better[0], list(better[1])
+        after = cost(here, step)
+        if before - after < max(_SETTLED, _SHARE * after):
             break
     return steps.moved(step), tuple(here)
 
@@ -376,8 +380,8 @@ class _Steps:
     """Linear steps of the parameters that are inside their bounds, in units of their steps.
 
     `parts` and `residuals` are the Jacobian's rows and the residuals of each fold; `factors` are the QR
-    decompositions of the former, weighted by the root of the repeats. `of_one` marks parameters of a single
-    experiment or machine.
+    decompositions of the former, weighted by the root of the repeats. `prior` are the equations of the refit's own
+    priors and of a faint one on every step. `of_one` marks parameters of a single experiment or machine.
     """
 
     fit: Refit
@@ -387,6 +391,7 @@ class _Steps:
     residuals: tuple[FloatArray, ...]
     factors: tuple[tuple[FloatArray, FloatArray], ...]
     repeats: tuple[float, ...]
+    prior: FloatArray
     groups: NDArray[np.intp]
     of_one: NDArray[np.bool_]
 
@@ -401,6 +406,10 @@ class _Steps:
         parts = tuple(fit.jacobian[e][rows][:, inside] * steps[inside] for e, rows in observed.folds)
         repeats = tuple(float(observed.repeats[e]) for e, _ in observed.folds)
         factors = (np.linalg.qr(np.sqrt(n) * part) for n, part in zip(repeats, parts, strict=True))
+        known = np.array([np.isfinite(u.sd) for u in fit.unknowns], dtype=bool)[inside]
+        sd, start = (np.array([getattr(u, n) for u in fit.unknowns])[inside][known] for n in ("sd", "start"))
+        of_refit = np.column_stack([np.diag(steps[inside])[known] / sd[:, None], (start - x[inside][known]) / sd])
+        faint = np.eye(int(inside.sum()), int(inside.sum()) + 1) / _PRIOR_STEPS
         return cls(
             fit,
             inside,
@@ -409,6 +418,7 @@ class _Steps:
             tuple(fit.residuals[e][rows] for e, rows in observed.folds),
             tuple((np.asarray(q), np.asarray(r)) for q, r in factors),
             repeats,
+            np.vstack([faint, of_refit]),
             np.array(observed.groups),
             np.array([SEPARATOR in u.name for u in fit.unknowns], dtype=bool)[inside],
         )
@@ -422,15 +432,15 @@ class _Steps:
     ) -> FloatArray:
         """Return the equations for a step of the folds that are not `out`, after `done` of it."""
         left = self.residuals if residuals is None else residuals
-        count = self.parts[0].shape[1]
-        prior = np.eye(count, count + 1) / _PRIOR_STEPS
-        if done is not None:
-            prior[:, -1] = -done / _PRIOR_STEPS
-        rows = [prior]
+        rows = [self.prior if done is None else self.after(done)]
         for k, ((q, r), n, residual) in enumerate(zip(self.factors, self.repeats, left, strict=True)):
             if not out[k]:
                 rows.append(np.column_stack([r, -np.sqrt(n) * (q.T @ residual)]))
         return np.vstack(rows)
+
+    def after(self, done: FloatArray) -> FloatArray:
+        """Return the equations of the priors after a step."""
+        return np.column_stack([self.prior[:, :-1], self.prior[:, -1] - self.prior[:, :-1] @ done])
 
     def moved(self, step: FloatArray) -> dict[str, float]:
         """Return the parameters after a step, within their bounds."""

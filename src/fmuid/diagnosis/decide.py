@@ -35,7 +35,7 @@ SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % qua
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
 CLOSURE_OF_ITS_KIND = 2 / 3  # below it, an effect whose rest is at its own place may only resemble the cause
-GAIN_OF_A_SECOND = 0.25  # a further effect must close at least a quarter of the remaining gap
+GAIN_OF_A_SECOND = 0.25  # a further effect must close a quarter of the rest; a provisional one, of the gap
 ABOUT_AS_WELL = 1.5  # ratio of remaining gaps: a free function is one linear step, effects are refitted to the end
 CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, though its law may differ in shape
 SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
@@ -269,11 +269,12 @@ def names(nominal: Fitted, best: Fitted, *, finished: bool, bounded: bool = Fals
     """Return whether `best` closes enough of the gap for its effects to be named.
 
     A weak gap is largely chance, and if only one experiment shows it, little can be learnt without that
-    experiment. It then suffices that the effects complete the model, unless *unknown* is more likely. If the
-    noise is only `bounded`, the effects must also close as much where the models are fitted.
+    experiment. It then suffices that one effect completes the model, unless *unknown* is more likely; several can
+    complete nearly any model. If the noise is only `bounded`, the effects must also close as much where the models
+    are fitted.
     """
     closed = closed_by(nominal, best)
-    likely = closed * len(best.effects) >= _doubt(closed)
+    likely = len(best.effects) == 1 and closed >= _doubt(closed)
     enough = validated(nominal, best, excused=True) if bounded else closed
     return enough >= CLOSURE_THAT_NAMES or (
         likely and finished and closure(nominal, best) >= CLOSURE_THAT_FINISHES

@@ -554,6 +554,7 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         and observed.bounded
         and best is not None
         and plausible
+        and closing(best).validated >= decide.GAIN_OF_A_SECOND
         and decide.closes_something(nominal, best, closing(best))
         and decide.by_chance(nominal, best, len(searched.candidates)) < 1.0
     )

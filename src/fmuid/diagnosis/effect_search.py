@@ -16,7 +16,7 @@ from fmuid.diagnosis.candidates import (
     add_effect,
     led_out,
     moved,
-    refitted,
+    score_at_start,
     score_early,
     score_further,
     without,
@@ -35,7 +35,6 @@ _EXTENDED = 2  # of the effects refitted together, those whose refits are extend
 _PAIRS = 4  # further effects tried in addition to the best
 _SCORED = 8  # effects that are scored again when another is added
 _CLOSE = 0.5  # least score for being tried in place of another effect, as a share of the best score
-_ITERATIONS = 40  # of a refit to the end
 _MOST = 3  # largest number of effects together
 _GAIN = 0.1  # share of the remaining gap that a further effect closes before others are tried with it
 _SHAPE = 0.1  # share of the gap (a hundredth of its energy) that the plant's shape of a law may leave of ours
@@ -89,8 +88,6 @@ def search(
     signatures = _signatures(subject, nominal, candidates, scores)[0]
     without_one = cache(partial(without, subject))
     while present and len(best.effects) < _MOST and best.gap > GAP_THAT_MATTERS:
-        if (ended := _to_the_end(subject, best)) is not best:
-            candidates.append(best := ended)
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.effects))
         shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
         company = [
@@ -129,16 +126,20 @@ def aliases(
 def _chosen(
     subject: Subject, fitted: Fitted, whole: Sequence[Score], most: int, first: int
 ) -> tuple[list[Score], list[str]]:
-    """Return the effects to add: those that promise most in early parts of the runs, and in all of them.
+    """Return the effects to add: those that promise most early, at the start values, and at the estimate.
 
-    Where a model has drifted away from the plant, scores of whole runs say little. The former are also returned by
-    name.
+    Where a model has drifted away from the plant, scores of whole runs say little; those of early parts say more.
+    Without the effect that is missing, the estimate may be far away; the start values are not. The `first` effects
+    of each are in addition to those at the estimate, and the early ones are also returned by name.
     """
-    early = {s.effect: s for s in _promising(score_early(subject, fitted)) if s.drop > SEEN**2}
-    by_name = {s.effect: s for s in whole}
-    names = list(early)[:first]
-    order = dict.fromkeys([*names, *by_name])
-    return [by_name.get(name) or early[name] for name in order][:most], names
+    views = [
+        {s.effect: s for s in _promising(scores) if s.drop > SEEN**2}
+        for scores in (score_early(subject, fitted), score_at_start(subject, fitted))
+    ]
+    early, begin = (list(view)[:first] for view in views)
+    by_name = {s.effect: s for s in reversed([*whole, *views[0].values(), *views[1].values()])}
+    order = dict.fromkeys([*early, *begin, *(s.effect for s in whole)])
+    return [by_name[name] for name in order][: most + first], early
 
 
 def _signatures(
@@ -258,12 +259,6 @@ def _added(
             say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(refits))
             refits[k] = led_out(subject, added, score), score
     return [added for added, _ in refits if added.fit.cost < fitted.fit.cost]
-
-
-def _to_the_end(subject: Subject, fitted: Fitted) -> Fitted:
-    """Return a better refit, if there is one: a further effect would seem to explain what is left to gain."""
-    ended = refitted(subject, fitted, iterations=_ITERATIONS)
-    return fitted if fitted.fit.cost <= about(ended.fit.cost) else ended
 
 
 def _exchanged(

@@ -43,6 +43,7 @@ _ABOUT = (
 )  # times the cost, plus squared standard deviations: then another model fits about equally well
 _COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
+ITERATIONS = 40  # Jacobians of a search; nearly all end by their tolerance before
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
 
 Slopes = Literal["exact", "near", "wide"]
@@ -85,7 +86,7 @@ def refit(
     *,
     starts: Sequence[Mapping[str, float]] = ({},),
     tangents: Tangents | None = None,
-    max_iterations: int = 12,
+    max_iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
 ) -> Refit:
     """Minimise the whitened squared residual of the mean runs.

@@ -22,7 +22,7 @@ from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, leaving_out
 from fmuid.diagnosis.cross_validation import HeldOut, Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
@@ -256,7 +256,8 @@ class _Search:
         """Build the most promising tables into the model and return the best one.
 
         One size of each table is built. If the best one is over one variable, it is refitted in all sizes, and the
-        size that predicts best remains.
+        size that predicts best remains. A table is linear in its values, so linear steps compare tables; the one
+        that remains is refitted without each experiment.
         """
         sizes: dict[tuple[str, ...], list[_Proposed]] = {}
         for p in proposed:
@@ -266,7 +267,9 @@ class _Search:
         if not built:
             return None
         first = _simplest(built)
-        return _simplest([first, *self._fitted(self._resized(first))])
+        last = _simplest([first, *self._fitted(self._resized(first))])
+        acting = [last.subject.by_id[id] for id in last.fitted.effects]
+        return replace(last, fitted=leaving_out(last.subject, acting, last.fitted.fit, chords=_STEPS))
 
     def _resized(self, before: _Built) -> list[_Proposed]:
         """Return tables of all sizes over the same variable, along the trajectories of the model that has one."""
@@ -300,8 +303,8 @@ class _Search:
         built = []
         for law, effect, start, p in zip(laws, effects, starts, proposed, strict=True):
             acting = [*beside, effect]
-            fitted = fit_effects(subject, acting, [start], tolerance=_COARSE, chords=_STEPS)
-            fitted = fitted or fit_effects(subject, acting, [begin], tolerance=_COARSE, chords=_STEPS)
+            fitted = fit_effects(subject, acting, [start], tolerance=_COARSE, chords=0)
+            fitted = fitted or fit_effects(subject, acting, [begin], tolerance=_COARSE, chords=0)
             if fitted is not None:
                 built.append(_Built(law, p.over, p.knots, effect, subject, fitted))
         return built

@@ -90,7 +90,7 @@ def _at_port(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[s
         return None
     load = _load_probe(port, list(ports.values())) if port.domain in MECHANICAL else ()
     elsewhere = [c.variable for case in model.cases for c in case.channels]
-    elsewhere += [n for p in ports.values() for kind in ("p", "rate") for n in p.probes.get(kind, ())]
+    elsewhere += [n for p in ports.values() for n in _potentials(p)]
     wanted = [n for group in (*port.probes.values(), load, names_at(port), elsewhere) for n in group]
     known = set.intersection(*(set(case.simulator.variables) for case in model.cases))
     wanted = [n for n in dict.fromkeys(wanted) if n in known]
@@ -115,9 +115,7 @@ def _at_port(name: str, flat: FlatModel, model: CampaignModel, values: Mapping[s
     inputs = [q for n in free_inputs if (q := _quantity(n, n, units.get(n, "1"), courses)) is not None]
     potential, flow = port.units
     units |= {"p": potential, "rate": f"{potential}/s", "load": flow, "through": flow}
-    near = {
-        n for p in _neighbours(port, [*ports.values()]) for kind in ("p", "rate") for n in p.probes.get(kind, ())
-    }
+    near = {n for p in _neighbours(port, [*ports.values()]) for n in _potentials(p)}
     near |= {c.variable for case in model.cases for c in case.channels}
     bare = Spot(port, max(flows), tuple(around), (), ())
     return _with_terms(bare, model, (of_port, inputs), near, units)
@@ -145,6 +143,15 @@ def _with_terms(
     away = [_from_start(q, around) for q in _apart(every, around) if q.name in elsewhere]
     terms = _distinct(library(*here, time, away[:_OTHERS]), around, time)
     return Spot(spot.port, spot.flow, tuple(around), time, tuple(terms), tuple(quantities), names)
+
+
+def _potentials(port: Port) -> list[str]:
+    """Return the variables of a port's potential, and of the speed there.
+
+    Rates of other potentials are no states: a flow that depended on one would change it at once (algebraic loop).
+    """
+    kinds = ("p", "rate") if port.domain in MECHANICAL else ("p",)
+    return [n for kind in kinds for n in port.probes.get(kind, ())]
 
 
 def _neighbours(port: Port, ports: Sequence[Port]) -> list[Port]:
