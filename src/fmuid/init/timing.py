@@ -24,7 +24,7 @@ from fmuid.simulation.simulator import Variable
 _NEARLY = 0.5  # of the way between two conventions: another effect rarely looks like the whole way
 _CLEARLY = 0.8  # remaining share of the squared error for a convention to count as better
 _MOST_RUNS = 3
-_SURE = 12.0  # log likelihood ratio for a lost row, and for a convention against one that is near to it
+_SURE = 12.0  # log likelihood ratio for a lost row, and for a convention where little else speaks for it
 _EDGE, _BEYOND = 0.9, 1e-2  # of the Nyquist frequency; share of the changes of a band-limited input beyond it
 _ONE = 0.3  # deviation from one row for a row to be lost
 _AROUND = 3  # samples on either side of a lost row that have to be as usual
@@ -58,7 +58,8 @@ class Convention:
     @property
     def explains(self) -> bool:
         """Whether the runs support this convention against held signals."""
-        return self.worse > 1 / _CLEARLY and abs(self.along - 1.0) < _NEARLY
+        better = self.worse > 1 / _CLEARLY or (self.worse > 1.0 and self.evidence > _SURE)
+        return better and abs(self.along - 1.0) < _NEARLY
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +83,9 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
     """Judge the conventions that a model can be simulated with, the best supported first.
 
     Each run is refitted with every convention. A missing effect may look like inputs that act earlier, but hardly
-    by the whole way from one convention to another; so a convention has to leave less than four fifths of the
-    squared error of held signals, and the runs have to lie near it on the way from there. Among those that do, the
-    changes between samples decide. Band-limited inputs are near to linear ones; they are listed if linear ones
+    by the whole way from one convention to another; so the runs have to lie near a convention on the way from held
+    signals. It also has to leave less than four fifths of their squared error or, where noise is larger than that,
+    be sure from the changes between samples. Among those that do, these changes decide. Band-limited inputs are near to linear ones; they are listed if linear ones
     explain the runs, no input has changes near the Nyquist frequency, and the changes between samples are clearly
     in their favour.
 
