@@ -72,15 +72,19 @@ def _lines(values: Iterable[Any]) -> str:
 
 
 def publish(seed: int, work: Path, labels: Path) -> Path:
-    """Write a seed's labels, answers and hashes of logs as text, and return the folder."""
+    """Write a seed's labels, answers and hashes of logs as text, and return the folder.
+
+    Cases are published in the order of their numbers, up to the first one that was not diagnosed.
+    """
     target = PUBLISHED / str(seed)
     target.mkdir(parents=True, exist_ok=True)
-    made = [json.loads(f.read_text()) for f in sorted(labels.glob("c*.json"))]
-    records = []
-    for label in made:
-        file = work / "answers" / label["case"] / "record.json"
-        if file.is_file():
-            records.append({"case": label["case"], **json.loads(file.read_text())})
+    made, records = [], []
+    for file in sorted(labels.glob("c*.json")):
+        record = work / "answers" / file.stem / "record.json"
+        if not record.is_file():
+            break
+        made.append(json.loads(file.read_text()))
+        records.append({"case": file.stem, **json.loads(record.read_text())})
     commit = subprocess.run(
         ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False
     ).stdout.strip()

@@ -96,24 +96,22 @@ def page(folder: Path) -> str:
     """Return the Markdown page."""
     parts = [_INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)]
     for seed in read_published(folder):
-        for title, cases in (
-            ("the check", seed.cases(REHEARSAL, REHEARSAL + CHECK)),
-            ("a rehearsal", seed.cases(0, REHEARSAL)),
-        ):
-            if cases:
-                parts.append(_section(f"Seed {seed.seed}: {title}", seed, cases))
+        for title, first, count in (("the check", REHEARSAL, CHECK), ("a rehearsal", 0, REHEARSAL)):
+            if cases := seed.cases(first, first + count):
+                parts.append(_section(f"Seed {seed.seed}: {title}", seed, cases, count))
     if len(parts) == 1:
         parts.append("No seed has been published yet.\n")
     parts.append("Next: [how good it is](quality.md).\n")
     return "\n".join(parts)
 
 
-def _section(title: str, seed: Seed, cases: Sequence[Scored]) -> str:
+def _section(title: str, seed: Seed, cases: Sequence[Scored], count: int) -> str:
+    part = f"The first {len(cases)} of {count} cases," if len(cases) < count else f"{count} cases"
     rigs = len({c.label["rig"] for c in cases})
     lines = [
         f"## {title}",
         "",
-        f"{len(cases)} cases on {rigs} rigs, diagnosed by commit `{seed.told['commit'][:10]}`, grammar"
+        f"{part} on {rigs} rigs, diagnosed by commit `{seed.told['commit'][:10]}`, grammar"
         f" {seed.told['grammar']}.",
         "",
         _aims(figures(cases)),
