@@ -43,7 +43,7 @@ _ABOUT = (
 )  # times the cost, plus squared standard deviations: then another model fits about equally well
 _COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
-ITERATIONS = 40  # Jacobians of a search; nearly all end by their tolerance before
+ITERATIONS = 25  # Jacobians of a search; nearly all end by their tolerance before
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
 
 Slopes = Literal["exact", "near", "wide"]
