@@ -85,9 +85,9 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
     Each run is refitted with every convention. A missing effect may look like inputs that act earlier, but hardly
     by the whole way from one convention to another; so the runs have to lie near a convention on the way from held
     signals. It also has to leave less than four fifths of their squared error or, where noise is larger than that,
-    be sure from the changes between samples. Among those that do, these changes decide. Band-limited inputs are near to linear ones; they are listed if linear ones
-    explain the runs, no input has changes near the Nyquist frequency, and the changes between samples are clearly
-    in their favour.
+    be sure from the changes between samples. Among those that do, these changes decide. Band-limited inputs are
+    near to linear ones; they are listed if linear ones explain the runs, no input has changes near the Nyquist
+    frequency, and the changes between samples are clearly in their favour.
 
     Parameters
     ----------
