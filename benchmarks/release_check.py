@@ -2,6 +2,7 @@
 
 `make release` runs this first. The changelog needs a section for the version, with Added, Changed and Fixed and at
 most 25 lines, and nothing under Unreleased. CITATION.cff and docs/upgrade.md have to be about the same version.
+The pages have at most 290 kB.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LINES = 25
+KILOBYTES = 290
 HEADINGS = ("Added", "Changed", "Fixed")
 
 
@@ -50,6 +52,9 @@ def problems(root: Path) -> list[str]:
     minor = version.rpartition(".")[0]
     if version.endswith(".0") and f" to {minor}\n" not in (root / "docs" / "upgrade.md").read_text():
         wrong.append(f"docs/upgrade.md: has no section on the upgrade to {minor}")
+    size = sum(page.stat().st_size for page in (root / "docs").rglob("*.md")) / 1000
+    if size > KILOBYTES:
+        wrong.append(f"docs: the pages have {size:.1f} kB; at most {KILOBYTES}, shorten them")
     return wrong
 
 
