@@ -143,17 +143,29 @@ def _semi_linear(e: Operators, x: Value, positive: Value, negative: Value) -> Va
 
 
 def _string(e: Operators, value: Value, *rest: Value) -> Value:
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, SX):
         raise UnknownSizeError(value)
-    if isinstance(value, float):
-        digits = rest[0] if rest and isinstance(rest[0], int) and not isinstance(rest[0], bool) else 6
-        return f"{value:.{digits}g}"
-    return str(value)
+    given: list[Any] = [6, 0, True, ""]  # significantDigits, minimumLength, leftJustified, format
+    if rest and isinstance(rest[0], str):
+        given[3] = rest[0]
+    else:
+        first = 0 if isinstance(value, float) or len(rest) == len(given) else 1
+        given[first : first + len(rest)] = rest
+    digits, least, left, form = given
+    if form:
+        text = f"%{form.removeprefix('%')}" % value
+    elif isinstance(value, float):
+        text = f"{value:.{whole(digits)}g}"
+    else:
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+    return text.ljust(whole(least)) if left else text.rjust(whole(least))
 
 
 def _matrix(e: Operators, a: Value) -> Value:
+    if isinstance(a, Array) and len(a.shape) > 2:
+        if any(n != 1 for n in a.shape[2:]):
+            raise ValueError(f"matrix of {algebra.kind(a)}")
+        return Array(a.shape[:2], a.items)
     return as_matrix(a)
 
 

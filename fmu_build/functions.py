@@ -166,6 +166,8 @@ class Functions:
         frame = _Frame(function.name)
         evaluator = Evaluator(self._library, frame, self)
         with evaluator.no_event():
+            if function.constructor:
+                self._constants(function, frame, evaluator)
             for position, formal in enumerate(function.inputs):
                 given = arguments[position] if position < len(arguments) else None
                 if given is not None:
@@ -191,6 +193,13 @@ class Functions:
         return results[0] if len(results) == 1 else results
 
     @staticmethod
+    def _constants(function: Function, frame: _Frame, evaluator: Evaluator) -> None:
+        """Evaluate the constants of a record, which the defaults of its other fields may use."""
+        for formal in function.locals:
+            if formal.default is not None and not any(references(formal.default)):
+                frame.variables[formal.name] = evaluator(formal.default)
+
+    @staticmethod
     def _external(function: Function, evaluator: Evaluator) -> Value:
         """Call the substitute of a C function; arguments of it that are outputs take its results in order."""
         assert function.external is not None
@@ -210,9 +219,7 @@ class Functions:
     def _initial(self, formal: Formal, evaluator: Evaluator) -> Value:
         if formal.default is not None:
             return evaluator(formal.default)
-        if any(size is None for size in formal.shape):
-            return None  # it gets the size of its first value
-        shape = [whole(evaluator(size)) for size in formal.shape if size is not None]
+        shape = [0 if size is None else whole(evaluator(size)) for size in formal.shape]  # it may grow
         if formal.fields is not None:
             record: dict[str, Value] = {}
             for field in formal.fields:

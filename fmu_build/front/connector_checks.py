@@ -140,7 +140,7 @@ def check_connector(connector: Instance, resolver: Resolver) -> None:
             sizes = [resolver.known(n, n.at) for n in shape if n is not None]
             count["potential"] += math.prod(algebra.whole(n) for n in sizes)
         elif isinstance(item, Var):
-            if item.variability not in ("constant", "parameter") and item.direction is None:
+            if item.variability not in ("constant", "parameter") and (item.flow or item.direction is None):
                 kind = "flow" if item.flow else "stream" if item.stream else "potential"
                 count[kind] += math.prod(item.dims)
         else:

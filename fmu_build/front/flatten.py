@@ -22,6 +22,7 @@ from fmu_build.front.parser import annotation
 from fmu_build.front.resolve import Env, Item, Many, Resolver, Var
 from fmu_build.model import Experiment
 from fmu_build.syntax import (
+    ArrayOf,
     Assert,
     Assign,
     AssignMany,
@@ -127,7 +128,12 @@ class _Flattener:
         definition = self.ref.definition
         root = self.world.instantiate(self.ref, NO_MOD, "", None)
         self.resolver.instances[""] = root
-        self._visit(root)
+        known = -1
+        while known != len(root.slots):  # it may get inner components that are missing
+            known = len(root.slots)
+            self.order.clear()
+            self.tree.clear()
+            self._visit(root)
         for instance in list(self.tree):
             for base in instance.all_bases():
                 for section in base.definition.sections:
@@ -146,6 +152,7 @@ class _Flattener:
         equations = [*self.sink.equations, *connections.equations, *connections.balances(flows)]
         equations += self.resolver.streams.equations({v.name: v.at for v in self.order})
         variables = {v.name: self._variable(v) for v in self.order}
+        equations = _settle_strings(variables, equations)
         components = {i.path or "": self._component(i) for i in self.tree}
         connectors = self._connectors()
         flat = FlatModel(
@@ -649,6 +656,32 @@ def _in_connector(owner: Instance | None) -> bool:
             return False
         owner = owner.owner.root if owner.owner is not None else None
     return owner is not None
+
+
+def _settle_strings(variables: dict[str, Variable], equations: list[Equation]) -> list[Equation]:
+    """Give String variables, which then are parameters, the values of their equations; return the others."""
+    given: dict[str, dict[tuple[Any, ...], Expression]] = {}
+    rest: list[Equation] = []
+    for equation in equations:
+        left = equation.left
+        variable = variables.get(left.name) if isinstance(left, Reference) else None
+        if variable is None or variable.type != "String" or variable.variability in ("constant", "parameter"):
+            rest.append(equation)
+            continue
+        assert isinstance(left, Reference)
+        given.setdefault(variable.name, {})[tuple(getattr(s, "value", None) for s in left.subscripts)] = (
+            equation.right
+        )
+    for name, variable in variables.items():
+        if variable.type != "String" or variable.variability in ("constant", "parameter"):
+            continue
+        values = given.get(name, {})
+        value = values.get((), variable.binding)
+        if len(variable.shape) == 1 and all((i + 1,) in values for i in range(variable.shape[0])):
+            value = ArrayOf(variable.at, tuple(values[(i + 1,)] for i in range(variable.shape[0])))
+        if value is not None:
+            variables[name] = replace(variable, binding=value, variability="parameter", final=True)
+    return rest
 
 
 def _check_variable(var: Var) -> None:

@@ -195,7 +195,7 @@ class Resolver:
         component = slot.element
         assert isinstance(component, ComponentDef)
         if component.outer and not component.inner:
-            outer = self._inner(root, name, component)
+            outer = self._inner(root, name, component, slot.scope)
             if outer is not None:
                 if slot.mod.value is not None or slot.mod.subs:
                     raise ModelicaError(f"'{name}' is outer and cannot be modified", where=component.at,
@@ -304,7 +304,7 @@ class Resolver:
                         sub.mod = replace(merged, final=sub.mod.final or of_field.final)
                     sub.resolved = None
 
-    def _inner(self, root: Instance, name: str, component: ComponentDef) -> Item | None:
+    def _inner(self, root: Instance, name: str, component: ComponentDef, scope: Instance) -> Item | None:
         above: Instance | None = root.owner
         while above is not None:
             slot = above.root.slots.get(name)
@@ -315,6 +315,13 @@ class Resolver:
             above = above.root.owner
         if root.path == "":
             return None
+        if self.world.find_class(scope, component.type).definition.kind in ("model", "block", "class"):
+            model = self.instances[""].root
+            model.slots[name] = Slot(name, replace(component, inner=True, outer=False), scope, NO_MOD)
+            model.visible.add(name)
+            what = f"nothing has an inner '{name}'; the model gets 'inner {component.type.name} {name}'"
+            self.warnings.append(f"{component.at}: {what}")
+            return self.item(model, name)
         raise ModelicaError(
             f"'{root.path}.{name}' is outer, and nothing around it has an inner '{name}'", where=component.at,
             fix=f"declare 'inner {component.type.name} {name}' in the model",
@@ -386,8 +393,9 @@ class Resolver:
         return size
 
     def _enumeration_type(self, name: Reference, scope: Instance) -> tuple[tuple[str, str], ...] | None:
+        boolean = (("false", ""), ("true", ""))
         if name.name == "Boolean":
-            return (("false", ""), ("true", ""))
+            return boolean
         target = self.world.find(scope, name.parts[0].name, name.rooted)
         if isinstance(target, Slot) and isinstance(target.element, ComponentDef):
             return None
@@ -395,6 +403,8 @@ class Resolver:
         if ref is None:
             return None
         instance = self.world.package(ref, name.at)
+        if instance.builtin == "Boolean":
+            return boolean
         return instance.enumeration.enumeration if instance.enumeration is not None else None
 
     def _bound_shape(self, mod: Mod, at: Place) -> tuple[int, ...]:
@@ -1021,6 +1031,10 @@ class Resolver:
         else:
             arguments = self._all(e.arguments, scope, env)
         first = arguments[0] if arguments else None
+        if name == "String" and e.named:
+            defaults = [Literal(e.at, value) for value in ("", 6, 0, True, "")]
+            arguments += (None,) * (len(defaults) - len(arguments))
+            arguments = tuple(d if a is None else a for a, d in zip(arguments, defaults, strict=True))
         if name == "array":
             return ArrayOf(e.at, tuple(a for a in arguments if a is not None))
         if name == "String" and isinstance(first, Literal) and first.name:
@@ -1245,7 +1259,8 @@ class Resolver:
         inputs: list[Formal] = []
         fixed: list[Formal] = []
         for component, slot, formal in self._formals(instance):
-            closed = component.final or slot.mod.final or component.protected or "constant" in component.prefixes
+            constant = "constant" in component.prefixes and formal.default is not None
+            closed = component.final or slot.mod.final or component.protected or constant
             (fixed if closed else inputs).append(formal)
         result = self.operators.kind_of_class(instance)
         self.operators.signatures[key] = self._signature(instance, inputs, ())._replace(result=result)
@@ -1391,7 +1406,7 @@ class _Path:
         for subscript, size in zip(subscripts, item.element.subscripts, strict=False):
             number = isinstance(subscript, Literal) and isinstance(subscript.value, int) and not subscript.literals
             if number and isinstance(size, Reference) and resolver._type_range(size, item.slot.scope) is not None:
-                if isinstance(subscript.value, bool) and size.name == "Boolean":
+                if isinstance(subscript.value, bool):
                     continue
                 raise ModelicaError(f"'{item.name}' has a dimension of {size.name}, not of numbers", where=e.at)
         if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):

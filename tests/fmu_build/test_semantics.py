@@ -335,6 +335,23 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         """,
         {"f[3,2]": 2, "f[1,1]": 1, "a[1]": 2, "a[2]": 5, "w[2]": 8, "n": 0},
     ),
+    # specification 3.6.4, 10.3.3, 12.4.5: Strings, sizes that grow, indices of Booleans, defaults of records
+    "texts": (
+        """
+        function positive input Integer x[:]; output Integer y[:];
+          algorithm for i in 1:size(x, 1) loop if x[i] > 0 then y := cat(1, y, x[i:i]); end if; end for; end positive;
+        type Switch = Boolean;
+        record R Integer a; Integer b = c; constant Integer c = 42; constant Integer d; end R;
+        model M
+          String s; String t = s + "b"; String u[2]; Real a = if t == "ab" then 1 else 2; Real b = if u[2] == "   7" then 1 else 2;
+          parameter Integer p[:] = {-2, 1, 0, 3} annotation(Evaluate = true); Integer q[:] = positive(p);
+          Real w[Switch] = {5, 6}; Real off = w[false]; R r = R(2, d = 8); Real m[2, 2] = matrix({{{1}, {2}}, {{3}, {4}}});
+          Real c = if String(2.34567, significantDigits = 3) == "2.35" and String(1.5, format = "4.2f") == "1.50" then 1 else 2;
+        equation s = "a"; u[1] = "x"; u[2] = String(7, minimumLength = 4, leftJustified = false);
+        end M;
+        """,
+        {"a": 1, "b": 1, "c": 1, "q[2]": 3, "off": 5, "r.b": 42, "r.d": 8, "m[2,1]": 3},
+    ),
 }  # fmt: skip
 
 # Values of discrete variables after events at the times; in between nothing happens.
@@ -421,3 +438,14 @@ def histories(folder: Path) -> dict[str, list[float]]:
 @pytest.mark.parametrize("name", AFTER)
 def test_values_after_events(name, folder):
     assert histories(folder)[name] == pytest.approx(AFTER[name], abs=1e-7)
+
+
+def test_a_missing_inner_component_is_added_with_a_warning(tmp_path):
+    (tmp_path / "M.mo").write_text(
+        "model M model W parameter Real g = 9; end W; model A outer W w; Real x = w.g; end A;\n"
+        "model B A a; end B;\nB b; A c; end M;"
+    )
+    model = compile_modelica(tmp_path / "M.mo", "M")
+    instance = Instance.of(model, {"w.g": 4.0})
+    assert instance.get("b.a.x", 0.0, instance.start()) == instance.get("c.x", 0.0, instance.start()) == 4.0
+    assert model.warnings == ("M.mo:1: nothing has an inner 'w'; the model gets 'inner W w'",)
