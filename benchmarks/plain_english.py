@@ -1,11 +1,12 @@
 """Habits of style that this project avoids, found in pages, docstrings, messages and comments.
 
 `make lint` runs this file. Each pattern is a habit, with what to write instead. Code blocks and inline code
-of a page are skipped.
+of a page are skipped. So are names of variables, except those that name everything.
 """
 
 from __future__ import annotations
 
+import ast
 import io
 import re
 import sys
@@ -41,6 +42,7 @@ HABITS = {
     r"\bto look through\b": "please review",
     r"\bdoes? the same as\b": "is equivalent to, behaves like",
 }
+NAMES = {"found", "own"}  # of everything, so of nothing
 _HABITS = {re.compile(pattern, re.IGNORECASE | re.MULTILINE): advice for pattern, advice in HABITS.items()}
 _CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 
@@ -64,6 +66,12 @@ def faults(path: Path) -> list[str]:
             for match in habit.finditer(text):
                 place = f"{path.relative_to(ROOT)}:{line + text.count(chr(10), 0, match.start())}"
                 lines.append(f"{place}: '{' '.join(match[0].split())}': {advice}")
+    if path.suffix == ".py" and path.relative_to(ROOT).parts[0] in ("src", "fmu_build"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            stored = isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+            name = node.id if stored else node.arg if isinstance(node, ast.arg) else ""
+            if name in NAMES:
+                lines.append(f"{path.relative_to(ROOT)}:{node.lineno}: name '{name}': say what it is")
     return lines
 
 

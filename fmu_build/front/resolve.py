@@ -716,21 +716,21 @@ class Resolver:
 
     def _implied(self, name: str, body: Any, scope: Instance, env: Env) -> Expression:
         """Range of a loop without one: the size of the dimension that its variable indexes directly."""
-        found: Expression | None = None
+        span: Expression | None = None
         for array, position in _indexed(name, body):
             implied = self._dimension_range(array, position, scope, env)
             size = Call(array.at, "size", (array, Literal(array.at, position + 1)))
             if implied is None:
                 implied = Range(array.at, Literal(array.at, 1), None, size)
-            if found is None:
-                found, first = implied, self._size_of(size, scope, env)
+            if span is None:
+                span, first = implied, self._size_of(size, scope, env)
             elif isinstance(first, Literal):
                 other = self._size_of(size, scope, env)
                 if isinstance(other, Literal) and other.value != first.value:
                     what = f"loop variable '{name}' indexes dimensions of {first.value} and {other.value} elements"
                     raise ModelicaError(what, where=array.at)
-        if found is not None:
-            return found
+        if span is not None:
+            return span
         at = body.at if hasattr(body, "at") else body[0].at
         raise ModelicaError(f"loop variable '{name}' has no range, and does not index an array directly", where=at)
 

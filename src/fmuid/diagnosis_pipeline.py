@@ -286,7 +286,7 @@ def diagnose(
         discovery = find_law(outcome, campaign.models, load_simulator, say=say, seed=seed) if law else None
         added: Candidate | Tabulated | None = None
         if discovery is not None:
-            outcome, added = _with_law(outcome, discovery.found), discovery.best
+            outcome, added = _with_law(outcome, discovery.law), discovery.best
         if law and added is None:
             added = tabulate(outcome, campaign.models, load_simulator, say=say, seed=seed)
             outcome = outcome if added is None else _with_table(outcome, added)

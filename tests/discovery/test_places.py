@@ -43,7 +43,7 @@ def test_laws_use_what_can_be_written_in_them(tmp_path: Path, fmi: int) -> None:
     """The derivatives are variables called der(x) and der(v)."""
     fmu = Fmu(make_oscillator(tmp_path, fmi, ("ModelExchange",)), "model exchange")
     found = place(fmu, "der(v)", {"u": 5 * np.sin(40 * TIME)}, "y")
-    assert (found.unit, found.own) == ("m.s-2", ("v", "x", "u"))
+    assert (found.unit, found.nearby) == ("m.s-2", ("v", "x", "u"))
     assert {q.name for q in found.quantities} == {"v", "x", "u", COLUMN}
     over = {term.over.name for term in found.terms}
     assert over == {"v", "x", "u", COLUMN, "time"}

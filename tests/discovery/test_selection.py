@@ -66,8 +66,8 @@ def test_a_law_depends_only_on_what_every_run_has():
     for order in (slice(None), slice(None, None, -1)):
         model.cases = cases[order]
         found = places.spot("rotor", flat, model, {})
-        assert {*found.own} == {"p", "rate", "load", "tau"}
-        assert all(found.courses[0].keys() == c.keys() >= {*found.own, "time"} for c in found.courses)
+        assert {*found.nearby} == {"p", "rate", "load", "tau"}
+        assert all(found.courses[0].keys() == c.keys() >= {*found.nearby, "time"} for c in found.courses)
         assert "w_ref" not in found.courses[0]
         assert len(instead(found, [np.abs(c["rate"]) for c in found.courses])) > 1
 

@@ -53,10 +53,10 @@ def with_table_blocks(
     blocks: dict[str, TableBlock] = {}
 
     def block_of(node: Any) -> Any:
-        if isinstance(node, Binary) and node.operator == "+" and (found := _table(node)) and found.sizes in laws:
-            known = blocks.setdefault(found.name, found)
-            if expression_text(known.over) == expression_text(found.over):
-                return Reference(node.at, (Part(found.name), Part("y", (Literal(node.at, 1),))))
+        if isinstance(node, Binary) and node.operator == "+" and (table := _table(node)) and table.sizes in laws:
+            known = blocks.setdefault(table.name, table)
+            if expression_text(known.over) == expression_text(table.over):
+                return Reference(node.at, (Part(table.name), Part("y", (Literal(node.at, 1),))))
         # A block of zeros is zero, so it needs no guard.
         if isinstance(node, Call) and node.function == "noEvent" and isinstance(guarded := node.arguments[0], If):
             value, zero = guarded.branches[0][1], guarded.otherwise

@@ -54,7 +54,7 @@ class Candidate:
 class Discovery:
     """Result of the search: a law and the model that contains it, or the reason why there is none."""
 
-    found: LawFound
+    law: LawFound
     best: Candidate | None = None
 
 

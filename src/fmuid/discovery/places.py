@@ -43,7 +43,7 @@ class Spot:
         Terms that a law there may contain.
     quantities
         What a table there may be over: quantities at the place, inputs, measured outputs and potentials elsewhere.
-    own
+    nearby
         Names of the quantities at the place and of the inputs.
     """
 
@@ -53,7 +53,7 @@ class Spot:
     time: tuple[FloatArray, ...]
     terms: tuple[Term, ...]
     quantities: tuple[Quantity, ...] = ()
-    own: tuple[str, ...] = ()
+    nearby: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:

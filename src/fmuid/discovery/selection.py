@@ -142,7 +142,7 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
 
 def _linear(spot: Spot) -> list[tuple[FloatArray, ...]]:
     """Return the linear terms at a place: a constant and its quantities, of size 1."""
-    names = spot.own or spot.courses[0]
+    names = spot.nearby or spot.courses[0]
     sizes = {n: max(float(np.abs(c[n]).max()) for c in spot.courses) or 1.0 for n in names}
     constant = tuple(np.ones(len(t)) for t in spot.time)
     return [constant, *(tuple(c[n] / size for c in spot.courses) for n, size in sizes.items())]
