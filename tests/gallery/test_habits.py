@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from fmuid.cli.app import run
 from fmuid.data.crosscheck_csv import Table, read_csv, write_csv
-from tests.foreign_fmus.plants import Gap, plant_fmu, write_logs
+from tests.foreign_fmus.plants import PLANTS, Gap, plant_fmu, write_logs
 from tests.simulation.fmus import FAULTS, make_oscillator
 
 TEXT = '<ScalarVariable name="file" valueReference="99" causality="parameter" variability="fixed"><String start="a.csv"/></ScalarVariable>'  # fmt: skip
@@ -87,9 +88,10 @@ def test_a_tool_that_an_fmu_needs_is_reported(tmp_path, capfd):
     assert message in capfd.readouterr().out
 
 
-def test_states_and_outputs_may_be_arrays(tmp_path):
-    """A rod of three parts with one array of temperatures, whose first part radiates, which its model lacks."""
+def test_states_and_outputs_may_be_arrays(tmp_path, monkeypatch):
+    """A warm rod of three parts with one array of temperatures; its first part radiates, which its model lacks."""
     fmu = plant_fmu("ROD", tmp_path, 3)
+    monkeypatch.setitem(PLANTS, "ROD", replace(PLANTS["ROD"], start=(298.0, 295.0, 294.0)))
 
     def lacking(x: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.array([-4e-11 * (x[0] ** 4 - 293.0**4), 0, 0])
@@ -99,6 +101,7 @@ def test_states_and_outputs_may_be_arrays(tmp_path):
     assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert found["verdict"]["effects"][0].endswith("@der(T[1])")
+    assert "start from values of T[1], T[2], T[3] that are fitted to each run" in found["notes"][0]
 
 
 def test_runs_may_begin_at_any_time(tmp_path):

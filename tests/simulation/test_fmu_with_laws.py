@@ -87,6 +87,17 @@ def test_laws_and_their_states_act_as_scipy_says(with_laws, values):
     assert fmu.renewal == "reset"
 
 
+def test_elements_of_arrays_are_set(build, tmp_path):
+    """`sum` is of a table of 2 by 3 entries, the k-th of which is weighted by k."""
+    fmu = Fmu(build(3, ("ModelExchange",)), "model exchange")
+    write_fmu_with_laws(fmu, [], [], tmp_path / "Laws.fmu")
+    task = Task(np.linspace(0.0, 0.1, 3), {}, ("sum", "table[1,2]"))
+    laws = Fmu(tmp_path / "Laws.fmu")
+    for values in ({"table[1,2]": 3.0}, {"table[1,2]": 3.0, "table[2,1]": 7.0}, {}):
+        np.testing.assert_array_equal(laws.simulate(task, values), fmu.simulate(task, values))
+    assert laws.simulate(task, {"table[1,2]": 3.0})[0, 0] > laws.simulate(task, {})[0, 0]
+
+
 def test_a_driven_input_is_taken_from_the_derivative(with_laws):
     task = Task(TIME, {"tau": TORQUE, "der(w1).added_flow": np.full(TIME.size, 4.0)}, OUTPUTS, tolerance=1e-8)
     np.testing.assert_allclose(Fmu(with_laws).simulate(task, {}), exact(added=4.0), atol=1e-5)

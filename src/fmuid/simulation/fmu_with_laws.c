@@ -45,7 +45,8 @@ typedef struct { /* a scalar of the contained FMU */
     uint32_t reference;
     int32_t element, input; /* column of an input, or -1 */
     int given;              /* a value has been set since the last reset */
-    double value;
+    int shares;             /* its buffer is that of the element of the array before it */
+    double value, start;    /* the start value matters for arrays, which are set as a whole */
     Group set, get;
 } Scalar;
 
@@ -112,14 +113,16 @@ static int read_scalar(Me *me, Scalar *scalar, FILE *file)
     int32_t type;
     size_t size;
     if (fscanf(file, "%31s %" SCNd32 " %" SCNu32 " %zu %" SCNd32 " %" SCNd32, suffix, &type, &scalar->reference, &size,
-               &scalar->element, &scalar->input) != 6)
+               &scalar->element, &scalar->input) != 6 || !read_double(file, &scalar->start))
         return 0;
     if (type < FLOAT64 || type > UINT64 || size < 1 || size > 1000000 || scalar->element < 0 ||
         (size_t)scalar->element >= size || scalar->input >= (int32_t)me->n_own_inputs)
         return 0;
     scalar->set = (Group){.references = &scalar->reference, .n_references = 1, .n_values = size, .type = type,
                           .n_columns = 1, .column = &FIRST, .place = &scalar->element};
-    scalar->set.buffer = calloc(size, sizeof(double));
+    const Scalar *before = scalar > me->scalar ? scalar - 1 : NULL;
+    scalar->shares = size > 1 && before && before->reference == scalar->reference && before->set.n_values == size;
+    scalar->set.buffer = scalar->shares ? before->set.buffer : calloc(size, sizeof(double));
     scalar->get = scalar->set;
     snprintf(name, sizeof name, "Set%s", suffix);
     scalar->set.function = function_of(me, name);
@@ -151,7 +154,7 @@ static int read_all(Me *me, FILE *file)
     char text[LONGEST], path[2 * LONGEST];
     int fmi, completed;
     size_t n_states, n_indicators;
-    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "4") || !read_line(file, "library", text) ||
+    if (!read_line(file, "fmuid-laws", text) || strcmp(text, "5") || !read_line(file, "library", text) ||
         !read_line(file, "name", me->name) || !read_line(file, "token", me->token))
         return 0;
     snprintf(path, sizeof path, "%s/contained/%s", me->resources, text);
@@ -285,6 +288,13 @@ static void release_aside(Me *me)
         for (int k = 0; k < 2; k++) release(me, &me->run.laws.coefficient[i].instance[k]);
 }
 
+/* Arrays are set as a whole: with the values that have been given, and else those of the description. */
+static void fill_arrays(const Me *me)
+{
+    for (const Scalar *scalar = me->scalar; scalar < me->scalar + me->n_scalars; scalar++)
+        if (scalar->set.n_values > 1) put_values(&scalar->set, scalar->given ? &scalar->value : &scalar->start);
+}
+
 static int set(Me *me, unsigned reference, double value)
 {
     size_t n = me->n_scalars, p = me->run.laws.n_parameters;
@@ -292,7 +302,6 @@ static int set(Me *me, unsigned reference, double value)
         Scalar *scalar = me->scalar + reference;
         if (scalar->input >= 0) me->inputs[scalar->input] = value;
         if (scalar->input >= 0 && me->initialised) return OK; /* it acts in the next step */
-        if (scalar->set.n_values > 1) return report(me, "arrays are not set element by element");
         scalar->given = 1, scalar->value = value;
         if (set_values(&me->run.plan, &scalar->set, 1, &value) == DONE) return OK;
         return report(me, "the contained FMU refuses the value %g of variable %u", value, reference);
@@ -333,6 +342,7 @@ static int begin(Me *me)
     me->initialised = me->stepped = me->terminated = 0;
     me->run.n_directions = 0;
     for (size_t i = 0; i < me->n_scalars; i++) me->scalar[i].given = 0;
+    fill_arrays(me);
     release_aside(me);
     memcpy(me->inputs, me->default_input, me->n_own_inputs * sizeof(double)); /* many FMUs are not read before their initialisation */
     snprintf(path, sizeof path, "%s/start_values.txt", me->resources);
@@ -355,7 +365,8 @@ API void fmi2FreeInstance(void *c)
     Me *me = c;
     if (!me) return;
     if (me->library) release_directions(me), release_aside(me), release(me, &me->run.plan.instance), close_library(me->library);
-    for (size_t i = 0; me->scalar && i < me->n_scalars; i++) free(me->scalar[i].set.buffer);
+    for (size_t i = 0; me->scalar && i < me->n_scalars; i++)
+        if (!me->scalar[i].shares) free(me->scalar[i].set.buffer);
     free_laws(&me->run.laws);
     free(me->run.plan.work), free(me->run.plan.pivots), free(me->scalar), free(me->input_group), free(me->inputs);
     free(me->moved), free(me->moving), free(me->weight), free(me->value);
@@ -436,6 +447,7 @@ static int32_t begin_aside(Me *me, Plan *plan, const unsigned *parameter, const 
     if (plan->fmi == 2 && plan->function[SETUP_EXPERIMENT])
         CALL(SETUP_EXPERIMENT, int32_t (*)(Instance, int, double, double, int, double), plan->instance, 1, plan->tolerance,
              me->time[0], 0, 0.0);
+    fill_arrays(me);
     for (size_t i = 0; i < me->n_scalars; i++) {
         Scalar *scalar = me->scalar + i;
         if (scalar->given) TRY(set_values(plan, &scalar->set, 1, &scalar->value));
@@ -514,7 +526,7 @@ API int fmuidSetSensitivityDirections(void *c, const unsigned moved[], size_t n_
     if (!me->directional) return report(me, "the contained FMU gives no directional derivatives");
     for (size_t i = 0; i < n_moved; i++)
         if (moved[i] >= n_own + me->run.laws.n_parameters ||
-            (moved[i] < n_own && (me->scalar[moved[i]].input >= 0 || me->scalar[moved[i]].set.type != FLOAT64 || me->scalar[moved[i]].set.n_values > 1)))
+            (moved[i] < n_own && (me->scalar[moved[i]].input >= 0 || me->scalar[moved[i]].set.type != FLOAT64)))
             return report(me, "there are no derivatives by variable %u", moved[i]);
     if (n > me->n_held) {
         release_directions(me);

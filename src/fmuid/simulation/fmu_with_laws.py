@@ -25,7 +25,7 @@ from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.fmu_copy import as_bytes
 from fmuid.simulation.fmu_description import DescribedVariable, library_name
 from fmuid.simulation.fmu_plan import UNKNOWN_TOLERANCE
-from fmuid.simulation.fmu_variables import Slot
+from fmuid.simulation.fmu_variables import Slot, elements_of
 from fmuid.simulation.law_code import Operand, bits, code_of
 from fmuid.simulation.simulator import Variable
 
@@ -197,12 +197,12 @@ class _Contents:
         references = fmu.directional_references
         columns = {name: i for i, name in enumerate(self._inputs)}
         scalars = [
-            f"{s.suffix} {s.storage} {s.reference} {s.size} {s.element} {columns.get(v.name, -1)}"
+            f"{s.suffix} {s.storage} {s.reference} {s.size} {s.element} {columns.get(v.name, -1)} {_start(s)}"
             for v, s in self._scalars
         ]
         return "\n".join(
             [
-                "fmuid-laws 4",
+                "fmuid-laws 5",
                 f"library binaries/{library_name(fmu.version, exchange.identifier).as_posix()}",
                 f"name {described.name}",
                 f"token {described.token}",
@@ -266,7 +266,7 @@ class _Contents:
             definitions = SubElement(root, "UnitDefinitions")
             for unit in dict.fromkeys(filter(None, units)):
                 SubElement(definitions, "Unit", name=unit)
-        kinds = {v.name: v for v in described.variables}
+        kinds = {name: v for v in described.variables for name in elements_of(v)}
         self._define_types(root, kinds)
         experiment = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
         given = {experiment[n]: repr(v) for n, v in described.default_experiment.items()}
@@ -307,15 +307,21 @@ class _Contents:
 
     def _define_types(self, root: Element, kinds: Mapping[str, DescribedVariable]) -> None:
         """Define the enumerations, whose items have names."""
-        enumerations = [kinds[v.name] for v, _ in self._scalars if v.name in kinds and kinds[v.name].literals]
+        every = (kinds[v.name] for v, _ in self._scalars if v.name in kinds)
+        enumerations = {v.name: v for v in every if v.literals}
         if not enumerations:
             return
         definitions = SubElement(root, "TypeDefinitions")
-        for variable in enumerations:
+        for variable in enumerations.values():
             simple = SubElement(definitions, "SimpleType", name=_type_of(variable))
             items = SubElement(simple, "Enumeration")
             for name, value in variable.literals.items():
                 SubElement(items, "Item", name=name, value=str(value))
+
+
+def _start(slot: Slot) -> str:
+    value = slot.starts[slot.element]
+    return bits(0.0 if math.isnan(value) else value)
 
 
 def _type_of(variable: DescribedVariable) -> str:
@@ -325,15 +331,13 @@ def _type_of(variable: DescribedVariable) -> str:
 def _declare(
     variables: Element, reference: int, variable: Variable, slot: Slot, described: DescribedVariable | None
 ) -> str:
-    """Declare a variable of the contained FMU, whose arrays can only be read, and return its `initial`."""
+    """Declare a variable of the contained FMU, and return its `initial`; arrays of inputs can only be read."""
     causality, variability = variable.causality, variable.variability
     initial = "" if described is None else described.initial
-    if slot.size > 1 and causality in ("input", "parameter", "structuralParameter"):
+    if slot.size > 1 and causality == "input":
         causality, variability, initial = "local", "discrete", "calculated"
     if causality == "structuralParameter":
         causality, variability, initial = "parameter", "fixed", "exact"
-    if slot.size > 1 and initial in ("exact", "approx"):
-        initial = "calculated"
     attributes = {"name": variable.name, "valueReference": str(reference), "description": variable.description}
     attributes |= {"causality": causality, "variability": variability}
     needed = causality in ("input", "parameter") or initial in ("exact", "approx") or variability == "constant"

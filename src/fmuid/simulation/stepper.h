@@ -141,26 +141,28 @@ static inline int32_t exchange(Plan *plan, int32_t fmi, const Group *g, int32_t 
 #define EACH(statement) for (int32_t i = 0; i < g->n_columns; i++) { statement; } break
 #define PUT(T) EACH(((T *)g->buffer)[g->place[i]] = (T)row[g->column[i]])
 
+/* Into the buffer of variables. */
+static inline void put_values(const Group *g, const double *row)
+{
+    switch (g->type) {
+    case FLOAT64: PUT(double);
+    case FLOAT32: PUT(float);
+    case INT8: PUT(int8_t);
+    case UINT8: PUT(uint8_t);
+    case INT16: PUT(int16_t);
+    case UINT16: PUT(uint16_t);
+    case INT32: PUT(int32_t);
+    case UINT32: PUT(uint32_t);
+    case INT64: PUT(int64_t);
+    default: PUT(uint64_t);
+    }
+}
+
 static inline int32_t set_values(Plan *plan, const Group *groups, int32_t n_groups, const double *row)
 {
     for (const Group *g = groups; g < groups + n_groups; g++) {
-        if (g->direct) {
-            TRY(exchange(plan, plan->fmi, g, SET_VALUES, (void *)row));
-            continue;
-        }
-        switch (g->type) {
-        case FLOAT64: PUT(double);
-        case FLOAT32: PUT(float);
-        case INT8: PUT(int8_t);
-        case UINT8: PUT(uint8_t);
-        case INT16: PUT(int16_t);
-        case UINT16: PUT(uint16_t);
-        case INT32: PUT(int32_t);
-        case UINT32: PUT(uint32_t);
-        case INT64: PUT(int64_t);
-        default: PUT(uint64_t);
-        }
-        TRY(exchange(plan, plan->fmi, g, SET_VALUES, g->buffer));
+        if (!g->direct) put_values(g, row);
+        TRY(exchange(plan, plan->fmi, g, SET_VALUES, g->direct ? (void *)row : g->buffer));
     }
     return DONE;
 }
