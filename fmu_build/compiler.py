@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import accumulate
@@ -225,6 +225,17 @@ def _check_left_limits(system: System) -> None:
             )
 
 
+def _unheeded_choices(system: System) -> Iterator[str]:
+    """Yield a warning for each variable that is a state, or is not, against its ``stateSelect``."""
+    for declared in system.scope.declarations.scalars.values():
+        wanted = declared.variable.state_select
+        if declared.kind == "continuous" and wanted in ("always", "never"):
+            symbol, _ = system.representative(algebra.sx(declared.symbol))
+            if system.is_state(symbol) != (wanted == "always"):
+                what = "is a state" if wanted == "never" else "cannot be a state"
+                yield f"{declared.at}: '{declared.name}' {what}, although its stateSelect is {wanted}"
+
+
 def _generate(
     system: System,
     equations: Equations,
@@ -322,7 +333,9 @@ def _generate(
         c_rare=files.rare,
         c_header=files.header,
         content_hash="",
-        warnings=tuple(dict.fromkeys((*flat.warnings, *scope.parameters.warnings, *unit_check.check(flat)))),
+        warnings=tuple(dict.fromkeys(
+            (*flat.warnings, *scope.parameters.warnings, *_unheeded_choices(system), *unit_check.check(flat))
+        )),
         functions=functions,
     )  # fmt: skip
     what = repr(replace(model, c_source="", c_rare="", c_header="")) + "".join(

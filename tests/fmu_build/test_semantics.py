@@ -449,3 +449,20 @@ def test_a_missing_inner_component_is_added_with_a_warning(tmp_path):
     instance = Instance.of(model, {"w.g": 4.0})
     assert instance.get("b.a.x", 0.0, instance.start()) == instance.get("c.x", 0.0, instance.start()) == 4.0
     assert model.warnings == ("M.mo:1: nothing has an inner 'w'; the model gets 'inner W w'",)
+
+
+@pytest.mark.parametrize(
+    ("body", "warning"),
+    [
+        ("Real x(start = 1, fixed = true, stateSelect = StateSelect.never); equation der(x) = -x;", "is a state"),
+        ("Real v(stateSelect = StateSelect.always) = if time < 1 then 1 else 5;", "cannot be a state"),
+        (
+            "Real x(start = 1, fixed = true); Real y(stateSelect = StateSelect.always) = x; equation der(x) = -y;",
+            "",
+        ),
+    ],
+)
+def test_a_state_select_that_is_not_followed_is_said(tmp_path, body, warning):
+    (tmp_path / "M.mo").write_text(f"model M {body} end M;")
+    warnings = compile_modelica(tmp_path / "M.mo", "M").warnings
+    assert [w for w in warnings if "stateSelect" in w and warning in w] == [*warnings][: bool(warning)]
