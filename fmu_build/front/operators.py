@@ -216,6 +216,8 @@ class Operators:
             fitting = [key for key in keys if self._fits(key, kinds, strictly)]
             if fitting:
                 return Call(at, _only(fitting, at), tuple(operands))
+        if operator == "*" and exact == [True] and all(isinstance(o, ArrayOf) for o in operands):
+            return self._product(operands[0], operands[1], scope, at)
         for key in keys if False in exact else ():  # with an operand converted by a constructor
             converted = self._converted(key, operands, kinds, at)
             if converted is not None:
@@ -225,6 +227,26 @@ class Operators:
             return None if equal is None else Unary(at, "not", equal)
         names = " and ".join(r.name for r in records)
         raise ModelicaError(f"'{names}' has no operator '{plain}' for such operands", where=at)
+
+    def _product(self, a: Any, b: Any, scope: Instance, at: Place) -> Expression:
+        """Product of two arrays, written out: of matrices and vectors, as sums of products."""
+        if self.kind(a, scope).rank == 2:
+            return ArrayOf(at, tuple(self._product(row, b, scope, at) for row in a.items))
+        if self.kind(b, scope).rank == 2:
+            columns = zip(*(row.items for row in b.items), strict=True)
+            return ArrayOf(at, tuple(self._product(a, ArrayOf(at, c), scope, at) for c in columns))
+        if len(a.items) != len(b.items) or not a.items:
+            raise ModelicaError(f"product of arrays of {len(a.items)} and {len(b.items)} elements", where=at)
+        total: Expression | None = None
+        for x, y in zip(a.items, b.items, strict=True):
+            term = self.apply("*", (x, y), scope, at) or Binary(at, "*", x, y)
+            total = (
+                term
+                if total is None
+                else self.apply("+", (total, term), scope, at) or Binary(at, "+", total, term)
+            )
+        assert total is not None
+        return total
 
     def construct(
         self, record: Instance, given: Sequence[Expression | None], named: Sequence[str], scope: Instance

@@ -58,13 +58,15 @@ VALUES = {
     "Z a[2] = {Z(1, 2), Z(3, 4)}; Z b[2] = a + {1, time};": {"b[2].re": 3.5, "b[1].im": 2.0},
     "Z a[2] = {Z(1, 2), Z(3, 4)}; Z b = a*a;": {"b.re": -3.0 - 7.0, "b.im": 4.0 + 24.0},
     "Z a[2] = fill(Z(1, 2), 2); Z b[2] = a.*a;": {"b[1].re": -3.0, "b[2].im": 4.0},
+    "Z a[2, 2] = {{Z(1), Z(0, 1)}, {Z(2), Z(1)}}; Z v[2] = {Z(1, 2), Z(3)}; Z b[2] = a*v;": {"b[1].re": 1, "b[1].im": 5, "b[2].re": 5},
+    "Z a[2, 2] = {{Z(1), Z(0, 1)}, {Z(2), Z(1)}}; Z b[2, 2] = a*a;": {"b[1,1].re": 1, "b[1,1].im": 2, "b[2,2].im": 2, "b[2,1].re": 4},
     "Z a[1] = {Z(1, 2)}; Z b[1] = a + {Z(time)};": {"b[1].re": 1.5, "b[1].im": 2.0},
     "Z a[2]; equation a - fill(Z(1, 2), 2) = fill(Z(0), 2);": {"a[2].re": 1.0, "a[1].im": 2.0},
     "Source s; Resistor r; Ground g; equation connect(s.p, r.p); connect(r.n, g.p);": {"r.p.i.re": 2.5, "r.p.i.im": 1.5},
 }  # fmt: skip
 REFUSED = {
     "Z a = Z(1, 2); Z b = a/a;": "'Z' has no operator '/' for such operands",
-    "Z a[2, 2] = {{Z(1), Z(0)}, {Z(0), Z(1)}}; Z b[2, 2] = a*a;": "'Z' has no operator '*' for such operands",
+    "function f input Z a[2, 2]; output Z b[2, 2] = a*a; end f; Z a[2, 2]; Z b[2, 2] = f(a);": "'Z' has no operator '*' for such operands",
     "operator record W Real x; end W; connector C Real e; flow W f; end C; C c;": "is a flow, but 'W' has no operator '+'",
     "operator record W Real x; encapsulated operator 'constructor' constant Real k = 1; end 'constructor'; end W; W w = W(1);": "an operator consists of functions alone",
 }
