@@ -61,6 +61,16 @@ def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start
     assert found.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
 
 
+@pytest.mark.parametrize(
+    ("tolerances", "named"), [({}, {"large", "small"}), ({"y": 0.2}, {"large"}), ({"y": 0.02}, {"large", "small"})]
+)
+def test_no_effect_is_added_to_a_model_within_the_tolerance(tolerances, named):
+    laws = {"large": {1: 1.0}, "small": {2: 1.0}}
+    subject = replace(heard(laws, {1: 1.0, 2: 0.1}), tolerances=tolerances)
+    verdict = diagnose_subject(subject).diagnosis.verdict
+    assert (verdict.kind, set(verdict.effects), verdict.rest) == ("effect", named, None)
+
+
 def test_a_needless_law_is_dropped():
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
     subject = heard(laws, {1: 1.0, 2: 1.0})

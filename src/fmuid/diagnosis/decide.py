@@ -41,6 +41,7 @@ CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, t
 SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
 SURE = 0.9  # probability of what is named without repeats: the level of all intervals
 OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
+LIKELIER_THAN_NOT = 0.5  # probability from which a model counts as exact to within the user's tolerance
 _EQUAL = 0.25  # standard deviations between answers: if one is true, odds stay below 2 in 99 of 100 recordings
 _IDENTICAL = 1e-3  # of what effects do to the predictions: less than any coupling but a rigid one leaves
 _INTERVAL = 1.645  # standard errors: the 90 % interval of what is gained excludes zero
@@ -459,8 +460,8 @@ def _tolerance(name: str, value: float | str, channels: Mapping[str, Sequence[Ch
         raise CampaignError(error.what, where=where, fix=error.fix) from None
 
 
-def tolerated(subject: Subject, nominal: Fitted) -> tuple[Tolerated, ...]:
-    """Return the nominal model's errors on left-out data.
+def tolerated(subject: Subject, fitted: Fitted) -> tuple[Tolerated, ...]:
+    """Return a model's errors on left-out data.
 
     A signal without a tolerance is in the list if its error exceeds the noise. Nothing is returned without a
     tolerance, or if a fold cannot be simulated or there is only one.
@@ -468,7 +469,7 @@ def tolerated(subject: Subject, nominal: Fitted) -> tuple[Tolerated, ...]:
     model, observed, folds = subject.model, subject.observed, subject.observed.folds
     if not subject.tolerances or len(folds) < 2:
         return ()
-    predictions = model.predict_at([(e, v) for (e, _), v in zip(folds, nominal.left_out, strict=True)])
+    predictions = model.predict_at([(e, v) for (e, _), v in zip(folds, fitted.left_out, strict=True)])
     excess: dict[str, list[float]] = {}  # of the mean square error over noise, by fold
     floors: dict[str, list[float]] = {}
     shown: dict[str, Channel] = {}
@@ -504,6 +505,12 @@ def tolerated(subject: Subject, nominal: Fitted) -> tuple[Tolerated, ...]:
             )
         )
     return tuple(judged)
+
+
+def within_tolerance(subject: Subject, fitted: Fitted) -> bool:
+    """Return whether a model is more likely than not as exact as the user needs it to be."""
+    errors = tolerated(subject, fitted)
+    return bool(errors) and min(e.probability for e in errors) >= LIKELIER_THAN_NOT
 
 
 def _below(values: Sequence[float], most: float) -> float:

@@ -62,7 +62,6 @@ from fmuid.diagnosis.verdict import (
 
 _RESTARTS = 3  # of the search, from a better optimum of the nominal parameters that it found
 _UNSETTLED = 0.01  # share of the cost that refits of the search may leave: ten of the iterations that ended them
-_LIKELIER_THAN_NOT = 0.5  # probability from which a model counts as complete to within the user's tolerance
 _TO_THE_END = 1e-9  # share of the cost: a gain of half a squared standard deviation ends a refit before that
 
 
@@ -224,7 +223,7 @@ def diagnose_subject(
     closing = Closing(subject, nominal, evidence.null)
     judgement = _judge(subject, searched, closing, say)
     errors = tolerated(subject, nominal)
-    if enough := bool(errors) and min(e.probability for e in errors) >= _LIKELIER_THAN_NOT:
+    if enough := bool(errors) and min(e.probability for e in errors) >= decide.LIKELIER_THAN_NOT:
         judgement = Judgement(Verdict("complete", within_tolerance=True), judgement.surviving[:1])
     say("deciding", 0.95)
     weights = decide.weigh(

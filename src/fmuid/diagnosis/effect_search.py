@@ -87,7 +87,7 @@ def search(
         best = decide.best_of(candidates, subject.observed)
     signatures = _signatures(subject, nominal, candidates, scores)[0]
     without_one = cache(partial(without, subject))
-    while present and len(best.effects) < _MOST and best.gap > GAP_THAT_MATTERS:
+    while present and len(best.effects) < _MOST and not exact_enough(subject, best):
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.effects))
         shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
         company = [
@@ -231,8 +231,13 @@ def _further(
 
 
 def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
-    """Return whether the remaining gap of `best` is irrelevant or within the noise."""
-    return best.gap <= GAP_THAT_MATTERS or _further(subject, best, scores, noise)[1]
+    """Return whether the remaining gap of `best` is irrelevant, within the tolerances or within the noise."""
+    return exact_enough(subject, best) or _further(subject, best, scores, noise)[1]
+
+
+def exact_enough(subject: Subject, fitted: Fitted) -> bool:
+    """Return whether nothing that matters is left: the gap is irrelevant, or within what the user tolerates."""
+    return fitted.gap <= GAP_THAT_MATTERS or decide.within_tolerance(subject, fitted)
 
 
 def _added(
