@@ -12,9 +12,10 @@ in an identification (`fmuid.identification.uncertainty.coloured_residuals`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -86,6 +87,7 @@ def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> F
     return from_real_spectrum(spectrum) * whiten.mask
 
 
+_End = TypeVar("_End", bound=tuple[Any, ...])
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
 _EARLY = _SHARES[1]  # of a run, over which effects are first compared
 _SHORTEST = 64  # samples in a beginning: a spectrum needs as many
@@ -160,6 +162,7 @@ def _ends(
 
 
 _SIZE = (0.03, 3.0)  # of a first guess, in trials: a response is linear only so far
+_CAREFUL = 4  # quick searches from which careful ones continue, and those that end as well as the best
 _ESCAPES = 2  # from local minima of one refit
 _TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place
 
@@ -333,28 +336,55 @@ def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
     return fit_effects(subject, [by_id[n] for n in fitted.effects if n != name], [fitted.fit.values])
 
 
-def add_effect(subject: Subject, fitted: Fitted, score: Score) -> Fitted | None:
-    """Refit `fitted` with the scored effect added, from its best starts with and without the effects of `fitted`.
+def add_effect(
+    subject: Subject, fitted: Fitted, score: Score, starts: Sequence[Mapping[str, float]] = ()
+) -> Fitted | None:
+    """Refit `fitted` with the scored effect added, from `starts` or its best ones."""
+    by_id = subject.by_id
+    effect = by_id[score.effect]
+    effects = [*(by_id[name] for name in fitted.effects), effect]
+    begins = starts or _starts(subject, fitted, score)
+    added = fit_effects(subject, effects, begins) if begins else None
+    if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
+        added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
+    return added
+
+
+def approach_effect(subject: Subject, fitted: Fitted, score: Score) -> tuple[float, Mapping[str, float]] | None:
+    """Return where a quick search with the scored effect added ends; see `approach`."""
+    unknowns = (*fitted.fit.unknowns, *subject.by_id[score.effect].unknowns)
+    return approach(subject, unknowns, _starts(subject, fitted, score))
+
+
+def approach(
+    subject: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]]
+) -> tuple[float, Mapping[str, float]] | None:
+    """Return the cost and the values where the best of quick searches ends; None if none can begin."""
+    return min(_ends(subject, unknowns, starts), key=lambda end: end[0], default=None)
+
+
+def promising(ends: Iterable[_End]) -> list[_End]:
+    """Return where the best quick searches ended, which start with their costs, the best one first."""
+    ordered = sorted(ends, key=lambda end: end[0])
+    return [end for k, end in enumerate(ordered) if k < _CAREFUL or end[0] <= about(ordered[0][0])]
+
+
+def _starts(subject: Subject, fitted: Fitted, score: Score) -> list[Mapping[str, float]]:
+    """Return where to begin with the scored effect added to `fitted`.
 
     Parameters refitted without the effect may have shifted to imitate it, so the campaign's start values are tried
     as well.
     """
-    by_id = subject.by_id
-    effect = by_id[score.effect]
+    effect = subject.by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
     factor = float(np.clip(score.scale, -_SIZE[1] if effect.two_sided else _SIZE[0], _SIZE[1]))
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in score.trials)]
     unbent = {**fitted.fit.values, **subject.starts}
     basis = nominal_basis(fitted.fit, subject.observed)
-    starts = [
+    starts = (
         _best_start(subject, [{**point, **size} for size in sizes], basis) for point in (fitted.fit.values, unbent)
-    ]
-    finite = [start for start, cost in starts if np.isfinite(cost)]
-    effects = [*(by_id[name] for name in fitted.effects), effect]
-    added = fit_effects(subject, effects, finite) if finite else None
-    if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
-        added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
-    return added
+    )
+    return [start for start, cost in starts if np.isfinite(cost)]
 
 
 def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> Fitted | None:

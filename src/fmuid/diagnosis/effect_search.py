@@ -14,8 +14,10 @@ from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     Fitted,
     add_effect,
+    approach_effect,
     led_out,
     moved,
+    promising,
     score_at_start,
     score_early,
     score_further,
@@ -248,14 +250,22 @@ def _added(
     *,
     say: Say = quiet,
 ) -> list[Fitted]:
-    """Refit `fitted` with each scored effect; return the models that fit better than it does.
+    """Refit `fitted` with the scored effects; return the models that fit better than it does.
 
-    The best fits, and `early` effects, which may be far from their best, escape from local minima.
+    Quick searches with each of them choose those that are refitted with care. The best fits, and `early` effects,
+    which may be far from their best, escape from local minima.
     """
-    refits: list[tuple[Fitted, Score]] = []
+    approached = []
     for k, score in enumerate(scores):
-        say(f"refitting with {score.effect}", 0.7 * k / len(scores))
-        added = add_effect(subject, fitted, score)
+        say(f"trying {score.effect}", 0.4 * k / len(scores))
+        if (end := approach_effect(subject, fitted, score)) is not None:
+            approached.append((*end, score))
+    best = promising(approached)
+    chosen = [*best, *(one for one in approached if one[2].effect in early and one not in best)]
+    refits: list[tuple[Fitted, Score]] = []
+    for k, (_, values, score) in enumerate(chosen):
+        say(f"refitting with {score.effect}", 0.4 + 0.3 * k / len(chosen))
+        added = add_effect(subject, fitted, score, [values])
         refits += [(added, score)] if added is not None else []
     refits.sort(key=lambda pair: pair[0].fit.cost)
     likely = {score.effect for _, score in refits[:_EXTENDED]}.union(early)

@@ -13,7 +13,16 @@ from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, approached, estimates, fit_effects, refitted_early, without
+from fmuid.diagnosis.candidates import (
+    Fitted,
+    approach,
+    approached,
+    estimates,
+    fit_effects,
+    promising,
+    refitted_early,
+    without,
+)
 from fmuid.diagnosis.cross_validation import NoiseDraws, advantage, closure, closure_interval, draw_noise
 from fmuid.diagnosis.diagnose import Found, where_it_enters
 from fmuid.diagnosis.localisation import likelier
@@ -269,11 +278,15 @@ class _Search:
         subject = with_laws(self.outcome.subject, self.models, self.load, effects, self.base.effects)
         subject = tightened(subject, starts)
         beside = [e for e in subject.effects if e.id in self.base.effects]
-        candidates = []
+        ends = []
         for new, effect, start in zip(laws, effects, starts, strict=True):
-            fitted = fit_effects(
-                subject, [*beside, effect], [start, {**start, **subject.starts}] if law is None else [start]
-            )
+            unknowns = [*subject.nominal, *(u for e in (*beside, effect) for u in e.unknowns)]
+            begins = [start, {**start, **subject.starts}] if law is None else [start]
+            if (end := approach(subject, unknowns, begins)) is not None:
+                ends.append((*end, new, effect))
+        candidates = []
+        for _, at, new, effect in promising(ends):
+            fitted = fit_effects(subject, [*beside, effect], [at])
             if fitted is not None and not decide.strained(fitted, [effect]):
                 candidates.append(Candidate(new, effect, subject, fitted))
         return candidates
