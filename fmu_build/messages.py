@@ -93,7 +93,7 @@ def _form(words: str, options: list[Value]) -> str:
     digits, least, left, given = [*options, None, None, None, None][:4]
     if words.startswith("="):
         return words
-    if isinstance(given, str):
+    if isinstance(given, str) and given:
         match = _FORMAT.fullmatch(given)
         if match is None:
             raise ValueError(f"the format '{given}' is not one of printf's for a number")

@@ -467,7 +467,6 @@ def test_a_term_acts_where_it_is_put():
         (Term("rotr", "flow", "0"), "no port 'rotr'; did you mean 'rotor'"),
         (Term("rotor", "flow", "2*speed"), "'speed' is unknown at port 'rotor'"),
         (Term("rotor", "flow", "2*tahn(rate)"), "there is no function 'tahn'; did you mean 'tan'"),
-        (Term("rotor", "flow", "delay(rate, 1e-3)"), "'delay' is not supported"),
         (Term("rotor", "potential", "0"), "not a branch"),
     ],
 )

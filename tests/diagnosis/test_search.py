@@ -102,8 +102,8 @@ def test_a_law_that_no_trial_leads_to_is_found_from_the_same_law_at_another_port
     subject = replace(subject, effects=effects)
     starts = []
 
-    def added(subject, fitted, score):
-        return None if score.effect == "law@b" else add_effect(subject, fitted, score)
+    def added(subject, fitted, score, starts=()):
+        return None if score.effect == "law@b" else add_effect(subject, fitted, score, starts)
 
     def best_start(subject, points, *basis):
         starts.append(points)

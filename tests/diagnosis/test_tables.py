@@ -15,10 +15,10 @@ import fmuid
 from fmu_build.build import build
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import ModelSource
-from fmuid.diagnosis.table_blocks import with_table_blocks
 from fmuid.diagnosis.verdict import Closure
 from fmuid.diagnosis_pipeline import nearly_explained
 from fmuid.discovery.terms import Quantity, table
+from fmuid.effects.table_blocks import with_table_blocks
 from fmuid.simulation.model_source import flat_model
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 

@@ -47,6 +47,7 @@ def test_a_campaign_is_made_corrected_and_undone_in_the_page(
     before = (tank / "campaign" / "campaign.toml").read_text()
 
     # A screen reader gets the table, its rows with what they show, and the state of every choice.
+    page.get_by_role("img", name=re.compile("probe over time, measured and simulated")).first.wait_for()
     tree = spoken(page)
     assert 'tab "Prepare" [selected]' in tree
     assert 'row "probe [degC] probe over time, measured and simulated' in tree

@@ -83,6 +83,7 @@ BALL = """
 def built(builder: Any, name: str, source: str, folder: Path) -> Path:
     script = folder / f"{name}.py"
     script.write_text(textwrap.dedent(source))
+    sys.modules.pop(name, None)  # another test may have one of this name
     path = builder.build_FMU(script, dest=folder)
     sys.modules.pop(name, None)
     return Path(path)

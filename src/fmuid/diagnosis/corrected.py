@@ -28,9 +28,9 @@ from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.subject import Subject, carrier, model_of, with_states
-from fmuid.diagnosis.table_blocks import with_table_blocks
 from fmuid.diagnosis.variants import acts_on, model_exchange, with_laws
 from fmuid.effects.effect import Effect
+from fmuid.effects.table_blocks import with_table_blocks
 from fmuid.identification.identified_models import start_values, write_models
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
