@@ -26,7 +26,7 @@ from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
-from fmuid.identification.problem.solver_error import UNSEEN, check_repeatable
+from fmuid.identification.problem.solver_error import UNSEEN
 from fmuid.identification.problem.zero_starts import sized
 from fmuid.identification.provenance import fingerprint, hashes_of, versions
 from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, finite
@@ -537,9 +537,6 @@ def _posed(
     if isinstance(step, Problem):
         if runner is not None and runner is not in_process:
             step.runner = runner
-        here, nowhere = step.space.tried(step.space.start)
-        if runner is not None and nowhere is None:
-            check_repeatable(step.cases, [case.start_values(here) for case in step.cases], step.runner)
         return _Posed(step)
     assert campaign is not None
     problem = Problem.of_stage(
