@@ -251,7 +251,7 @@ class Operators:
     def construct(
         self, record: Instance, given: Sequence[Expression | None], named: Sequence[str], scope: Instance
     ) -> str | None:
-        """Key of the constructor that fits a call; None for the one that takes all fields."""
+        """Return the key of the constructor that fits a call, or None for the default constructor."""
         self.kind_of_class(record)
         kinds = [NUMBER if e is None else self.kind(e, scope) for e in given]
         fitting = []

@@ -258,12 +258,17 @@ static int loops_along(Instance *me, double t, const double *x, const double *u,
     return 0;
 }
 
+/* Prepares a call at (*t, x, u) along a direction, with s->y, and with its result in `along`. */
+static int prepare_along(Instance *me, const double *t, const double *x, const double *u, Direction *s, double *along) {
+    if (loops_along(me, *t, x, u, s)) return 1;
+    environment_along(me, t, x, u, s, 9);
+    me->res[0] = along;
+    return 0;
+}
+
 /* Exact derivatives of the indicators along a direction at (t, x, u), into g, with s->y. */
 int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g) {
-    if (loops_along(me, t, x, u, s)) return 1;
-    environment_along(me, &t, x, u, s, 9);
-    me->res[0] = g;
-    return CALL(indicator_partials);
+    return prepare_along(me, &t, x, u, s, g) || CALL(indicator_partials);
 }
 
 /* The same of what an update gives at the present point, [z; x; next_event], into `updated`. */
@@ -278,10 +283,7 @@ int update_along(Instance *me, double initial, Direction *s, double *updated) {
 
 /* Exact derivatives of dx along a direction at (t, x, u), into s->dx (and s->y). */
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
-    if (loops_along(me, t, x, u, s)) return 1;
-    environment_along(me, &t, x, u, s, 9);
-    me->res[0] = s->dx;
-    return CALL(partials);
+    return prepare_along(me, &t, x, u, s, s->dx) || CALL(partials);
 }
 
 #if MODEL_NDELAY > 0
@@ -297,21 +299,16 @@ int delayed_expressions(Instance *me, double t, const double *x, const double *u
     environment_at(me, &t, x, u);
     double both[2 * NDELAY];
     me->res[0] = both;
-    if (CALL(delayed) || loops_along(me, t, x, u, &s)) return 1;
+    if (CALL(delayed)) return 1;
     memcpy(value, both, NDELAY * sizeof *value);
-    environment_along(me, &t, x, u, &s, 9);
-    me->res[0] = both;
-    if (CALL(delayed_partials)) return 1;
+    if (prepare_along(me, &t, x, u, &s, both) || CALL(delayed_partials)) return 1;
     memcpy(slope, both, NDELAY * sizeof *slope);
     return 0;
 }
 
 /* Derivatives along a direction of what is delayed and of the delays, 2 NDELAY numbers. */
 int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along) {
-    if (loops_along(me, t, x, u, s)) return 1;
-    environment_along(me, &t, x, u, s, 9);
-    me->res[0] = along;
-    return CALL(delayed_partials);
+    return prepare_along(me, &t, x, u, s, along) || CALL(delayed_partials);
 }
 #endif
 

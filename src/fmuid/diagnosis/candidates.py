@@ -91,7 +91,7 @@ _End = TypeVar("_End", bound=tuple[Any, ...])
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
 _EARLY = _SHARES[1]  # of a run, over which effects are first compared
 _SHORTEST = 64  # samples in a beginning: a spectrum needs as many
-_ITERATIONS = 6  # for each horizon: the next one continues
+_ITERATIONS = 6  # of a quick search: on a longer horizon, or with care, another one continues
 _KEPT = 3  # starts that go on to the next horizon
 
 
@@ -253,10 +253,10 @@ def refit_only(
     return None
 
 
-def refitted(subject: Subject, fitted: Fitted, *, iterations: int = ITERATIONS, tolerance: float = 1e-3) -> Fitted:
+def refitted(subject: Subject, fitted: Fitted, *, tolerance: float = 1e-3) -> Fitted:
     """Refit a model from where it is; return it as it was if it cannot be simulated."""
     effects = [subject.by_id[id] for id in fitted.effects]
-    again = fit_effects(subject, effects, [fitted.fit.values], iterations=iterations, tolerance=tolerance)
+    again = fit_effects(subject, effects, [fitted.fit.values], tolerance=tolerance)
     return fitted if again is None else again
 
 

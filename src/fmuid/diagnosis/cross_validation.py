@@ -340,23 +340,24 @@ def _refitted_without(
         )
 
     here, step = list(steps.fit.residuals), np.zeros(steps.parts[0].shape[1])
+    left = cost(here, step)
     for _ in range(chords):
         now = [here[e][rows] for e, rows in observed.folds]
         further = _solved(steps.others(out, now, step))
-        before = cost(here, step)
+        before = left
         better = next(
             (
-                (point, r)
+                (after, point, r)
                 for point in (step + 0.5**n * further for n in range(_HALVINGS))
-                if (r := model.residuals_at(steps.moved(point), observed)) is not None and cost(r, point) < before
+                if (r := model.residuals_at(steps.moved(point), observed)) is not None
+                and (after := cost(r, point)) < before
             ),
             None,
         )
         if better is None:
             break
-        step, here = better[0], list(better[1])
-        after = cost(here, step)
-        if before - after < max(_SETTLED, _SHARE * after):
+        left, step, here = better[0], better[1], list(better[2])
+        if before - left < max(_SETTLED, _SHARE * left):
             break
     return steps.moved(step), tuple(here)
 

@@ -41,7 +41,7 @@ CLOSURE_BEYOND_DOUBT = 0.85  # an effect that closes this much is not unknown, t
 SAME = 4.0  # standard deviations by which the data must contradict an answer, or a run must separate two
 SURE = 0.9  # probability of what is named without repeats: the level of all intervals
 OPEN = 20.0  # odds against an answer beyond which it is not left open: strong evidence (Kass and Raftery 1995)
-LIKELIER_THAN_NOT = 0.5  # probability from which a model counts as exact to within the user's tolerance
+_LIKELIER_THAN_NOT = 0.5  # probability from which a model counts as exact to within the user's tolerance
 _EQUAL = 0.25  # standard deviations between answers: if one is true, odds stay below 2 in 99 of 100 recordings
 _IDENTICAL = 1e-3  # of what effects do to the predictions: less than any coupling but a rigid one leaves
 _INTERVAL = 1.645  # standard errors: the 90 % interval of what is gained excludes zero
@@ -509,8 +509,12 @@ def tolerated(subject: Subject, fitted: Fitted) -> tuple[Tolerated, ...]:
 
 def within_tolerance(subject: Subject, fitted: Fitted) -> bool:
     """Return whether a model is more likely than not as exact as the user needs it to be."""
-    errors = tolerated(subject, fitted)
-    return bool(errors) and min(e.probability for e in errors) >= LIKELIER_THAN_NOT
+    return small_enough(tolerated(subject, fitted))
+
+
+def small_enough(errors: Sequence[Tolerated]) -> bool:
+    """Return whether errors are more likely than not within their tolerances; False without a tolerance."""
+    return bool(errors) and min(e.probability for e in errors) >= _LIKELIER_THAN_NOT
 
 
 def _below(values: Sequence[float], most: float) -> float:

@@ -223,7 +223,7 @@ def diagnose_subject(
     closing = Closing(subject, nominal, evidence.null)
     judgement = _judge(subject, searched, closing, say)
     errors = tolerated(subject, nominal)
-    if enough := bool(errors) and min(e.probability for e in errors) >= decide.LIKELIER_THAN_NOT:
+    if enough := decide.small_enough(errors):
         judgement = Judgement(Verdict("complete", within_tolerance=True), judgement.surviving[:1])
     say("deciding", 0.95)
     weights = decide.weigh(

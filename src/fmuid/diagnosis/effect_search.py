@@ -134,14 +134,14 @@ def _chosen(
     Without the effect that is missing, the estimate may be far away; the start values are not. The `first` effects
     of each are in addition to those at the estimate, and the early ones are also returned by name.
     """
-    views = [
+    early, begin = (
         {s.effect: s for s in _promising(scores) if s.drop > SEEN**2}
         for scores in (score_early(subject, fitted), score_at_start(subject, fitted))
-    ]
-    early, begin = (list(view)[:first] for view in views)
-    by_name = {s.effect: s for s in reversed([*whole, *views[0].values(), *views[1].values()])}
-    order = dict.fromkeys([*early, *begin, *(s.effect for s in whole)])
-    return [by_name[name] for name in order][: most + first], early
+    )
+    by_name = {**begin, **early, **{s.effect: s for s in whole}}
+    names = list(early)[:first]
+    order = dict.fromkeys([*names, *list(begin)[:first], *(s.effect for s in whole)])
+    return [by_name[name] for name in order][: most + first], names
 
 
 def _signatures(

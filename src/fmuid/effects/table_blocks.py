@@ -47,7 +47,7 @@ def with_table_blocks(
     Parameters
     ----------
     sizes
-        For each law, the names of its parameters in the model. Laws that are no table over one variable remain.
+        For each law, the names of its parameters in the model. Only tables over one variable are replaced.
     """
     laws = {of_law for of_law in sizes if len(of_law) > 1 and of_law[0].endswith(_SIZE)}
     blocks: dict[str, TableBlock] = {}

@@ -486,7 +486,7 @@ static int look_for_coefficients(Me *me)
 
 static const double STEP = 1e-5; /* relative: between its truncation and the error of an FMU that solves equations inside */
 
-/* Place the instance of a direction, a new one or one of an earlier run, beside the run. */
+/* Create or reset the instance of a direction, and initialise it with the parameters moved along that direction. */
 static int begin_direction(Me *me, size_t number)
 {
     Direction *one = me->run.direction + number;
