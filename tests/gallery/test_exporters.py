@@ -7,8 +7,6 @@ import importlib.util
 import json
 import os
 import shutil
-import subprocess
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,11 +16,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.cli.app import run
 from fmuid.data.crosscheck_csv import Table, write_csv
-from fmuid.simulation.fmu_description import library_name
-from tests.conftest import ROOT
 from tests.simulation.test_other_tools import INDEPENDENT, MODEL, built
-
-REFERENCE_FMUS = ROOT / os.environ.get("REFERENCE_FMUS", "../shared/Reference-FMUs")
 
 
 @pytest.fixture(autouse=True)
@@ -191,26 +185,21 @@ def test_a_law_is_found_in_model_exchange_by_openmodelica(tmp_path):
     assert verdict["effects"] == ["quadratic@der(damper.v_rel)"]
 
 
-def reference_fmu(name: str, fmi: int, folder: Path) -> Path:
-    """Compile and pack one of the Reference-FMUs."""
-    if not (REFERENCE_FMUS / name).is_dir():
-        pytest.skip(f"needs {REFERENCE_FMUS.name}: set REFERENCE_FMUS to a clone of modelica/Reference-FMUs")
-    library = folder / f"{name}.so"
-    files = [f"src/fmi{fmi}Functions.c", "src/cosimulation.c", f"{name}/model.c"]
-    command = ["cc", "-O1", "-shared", "-fPIC", "-w", f"-DFMI_VERSION={fmi}", "-DDISABLE_PREFIX"]
-    command += [f"-I{REFERENCE_FMUS / part}" for part in ("include", name)]
-    subprocess.run([*command, *(str(REFERENCE_FMUS / f) for f in files), "-o", str(library), "-lm"], check=True)
-    with zipfile.ZipFile(folder / f"{name}.fmu", "w") as archive:
-        archive.write(REFERENCE_FMUS / name / f"FMI{fmi}.xml", "modelDescription.xml")
-        archive.write(library, f"binaries/{library_name(fmi, name).as_posix()}")
-    return folder / f"{name}.fmu"
+def reference_fmu(name: str, fmi: int) -> Path:
+    """Return one of the published Reference-FMUs, which the environment names."""
+    folder = os.environ.get("REFERENCE_FMUS")
+    if folder is None:
+        pytest.skip(
+            "set REFERENCE_FMUS to the folder of an unpacked release of github.com/modelica/Reference-FMUs"
+        )
+    return Path(folder) / f"{fmi}.0" / f"{name}.fmu"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_drag_of_a_bouncing_ball_is_found_in_a_reference_fmu(tmp_path, fmi):
     """A ball of the Reference-FMUs, that has no drag, with the events of its impacts."""
-    fmu = reference_fmu("BouncingBall", fmi, tmp_path)
+    fmu = reference_fmu("BouncingBall", fmi)
     time, random = np.linspace(0.0, 3.0, 301), np.random.default_rng(2)
     heights, x, t = [1.0], np.array([1.0, 0.0]), 0.0
 

@@ -54,6 +54,9 @@ def assert_same_predictions(found: Found, fmu: Path) -> None:
 
 def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path):
     campaign = campaign_of("CIRCUIT", tmp_path, runs=3, samples=150)
+    assert run(["identify", str(campaign), "--out", str(tmp_path / "run"), "--quiet"]) == 0
+    identified = json.loads((tmp_path / "run" / "result.json").read_text())["parameters"]
+    assert identified["C"] == pytest.approx(PLANTS["CIRCUIT"].values[2], rel=0.05)
     found = diagnose(campaign, out=tmp_path / "out")
     assert found.diagnosis.verdict.effects == ("voltage_drop@der(i)",)
     values = found.corrected.fit.values
