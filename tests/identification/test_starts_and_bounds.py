@@ -92,5 +92,8 @@ def test_a_model_that_draws_random_numbers_is_refused(analytic, noise):
     if noise == 0.5:
         with pytest.raises(ProblemError, match=r"two equal simulations differ in y by up to .*random numbers"):
             identify(campaign(LEVEL), simulators=bench)
+        posed = Problem.of_stage(campaign(LEVEL), campaign(LEVEL).stages["level"], bench, settled=False)
+        with pytest.raises(ProblemError, match=r"two equal simulations differ in y by up to .*random numbers"):
+            identify(posed)
     else:
         assert identify(campaign(LEVEL), simulators=bench)["a"].value == pytest.approx(2.0, abs=0.1)

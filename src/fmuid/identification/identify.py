@@ -26,7 +26,7 @@ from fmuid.identification.observer import Observer, Progress
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
-from fmuid.identification.problem.solver_error import UNSEEN
+from fmuid.identification.problem.solver_error import UNSEEN, check_repeatable
 from fmuid.identification.problem.zero_starts import sized
 from fmuid.identification.provenance import fingerprint, hashes_of, versions
 from fmuid.identification.result import FILE, CriterionValue, Estimate, Result, StageResult, finite
@@ -196,6 +196,8 @@ def identify(
         for step in plan:
             asked = posed(step, best, runner)
             asked = replace(asked, problem=sized(asked.problem))
+            if isinstance(step, Problem) and not history.stages:  # those of campaigns are checked when posed
+                check_repeatable(step.cases, step.space, step.runner)
             result = _stage(run, asked, known)
             results.append(result)
             run.identified.update(map(without_owner, asked.problem.space.names), asked.problem.space.ties)

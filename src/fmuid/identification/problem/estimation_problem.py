@@ -110,8 +110,8 @@ class Problem:
         here, nowhere = space.tried(space.start)
         accuracy = SolverAccuracy()
         # Segments and observers keep predictions close to the measurements.
-        if settled and nowhere is None:
-            check_repeatable(cases, [case.start_values(here) for case in cases], runner)
+        if settled:
+            check_repeatable(cases, space, runner)
         if settled and nowhere is None and stage.segments is None and not stage.observer:
             accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
         if accuracy.until:

@@ -17,6 +17,7 @@ import numpy as np
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
+from fmuid.identification.problem.search_space import SearchSpace
 from fmuid.simulation.pool.parcels import name_of
 from fmuid.simulation.runners import Outcome, Runner
 from fmuid.simulation.simulator import Task
@@ -59,16 +60,21 @@ class SolverAccuracy:
         )
 
 
-def check_repeatable(cases: Sequence[Case], starts: Sequence[Mapping[str, float]], runner: Runner) -> None:
-    """Simulate one case of every model twice.
+def check_repeatable(cases: Sequence[Case], space: SearchSpace, runner: Runner) -> None:
+    """Simulate one case of every model twice at the start of the search, unless that has no values.
 
     Raises
     ------
     ProblemError
         The two simulations differ by more than the noise: the model draws random numbers, or keeps a state.
     """
+    here, nowhere = space.tried(space.start)
+    if nowhere is not None:
+        return
     first = {id(case.simulator): k for k, case in reversed(list(enumerate(cases)))}
-    jobs = [(cases[k].simulator, cases[k].task, starts[k]) for k in first.values() for _ in range(2)]
+    jobs = [
+        (cases[k].simulator, cases[k].task, cases[k].start_values(here)) for k in first.values() for _ in range(2)
+    ]
     outcomes = runner(jobs)
     for k, one, two in zip(first.values(), outcomes[::2], outcomes[1::2], strict=True):
         if isinstance(one, SimulationError) or isinstance(two, SimulationError):
