@@ -19,8 +19,8 @@ def lag(time, inputs, p):
     return {"y": p["k"] * lfilter([0.0, 1.0 - decay], [1.0, -decay], inputs["u"]) + p["b"]}
 
 
-def runs(analytic, kind, seed, count=6, scatter=0.03):
-    """Runs of a first-order lag that differ from the model, or whose noise does."""
+def runs(analytic, kind, seed, count=6, scatter=0.03, stated=None):
+    """Runs of a first-order lag that differ from the model, or whose noise does; `stated` is sigma of inputs."""
     random, fixed, cases = np.random.default_rng(seed), np.random.default_rng(99), []
     for k in range(count):
         steps = np.repeat(fixed.uniform(-1.0, 1.0, 16), 20)[:300]
@@ -35,9 +35,8 @@ def runs(analytic, kind, seed, count=6, scatter=0.03):
         measured = y + level * random.standard_normal(300)
         recorded = u + 0.1 * random.standard_normal(300) * (kind == "inputs")
         task = Task(TIME, {"u": recorded}, ("y",), {}, "hold")
-        cases.append(
-            measured_case(f"run{k}", analytic(lag, list(TRUTH)), task, {"y": measured}, sigma={"y": SIGMA})
-        )
+        sigma = {"y": SIGMA} if stated is None else {"y": SIGMA, "u": stated}
+        cases.append(measured_case(f"run{k}", analytic(lag, list(TRUTH)), task, {"y": measured}, sigma=sigma))
     specs = [
         ParameterSpec("k", 1.5, 0.1, 10.0),
         ParameterSpec("T", 0.4, 0.05, 5.0, scale="log"),
@@ -53,6 +52,15 @@ def test_intervals_hold_the_truth_in_nineteen_of_twenty_campaigns(analytic, kind
         stage = identify(runs(analytic, kind, seed)).stages[0]
         inside += [stage[n].interval[0] < value < stage[n].interval[1] for n, value in TRUTH.items()]
     assert 0.9 <= np.mean(inside) <= 0.99
+
+
+def test_known_noise_of_inputs_is_not_a_scatter_between_runs(analytic):
+    silent, stated = (
+        [identify(runs(analytic, "inputs", seed, stated=sigma)).stages[0].uncertainty.robust for seed in range(30)]
+        for sigma in (None, 0.1)
+    )
+    assert np.mean([len(names) for names in silent]) > 1.5
+    assert np.mean([len(names) for names in stated]) < 1.7  # of three
 
 
 def test_robust_errors_are_marked_and_explained(analytic):

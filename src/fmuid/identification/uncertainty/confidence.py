@@ -325,7 +325,8 @@ def _scatter(
     freedom = max(effective, problem.segments - (parameters - problem.nuisances), 1.0)
     scatter = by(covariance, freedom)
     if clusters:
-        scatter = _by_clusters(scatter, clusters, _within(problem, here, j, bread, covariance))
+        within = np.maximum(_within(problem, here, j, bread, covariance), np.diag(of_noise))
+        scatter = _by_clusters(scatter, clusters, within)
     between = next((c for c in clusters if c.of == RUNS), None)
     informed = set() if between is None else set(np.flatnonzero(between.degrees >= _FEW).tolist())
     few = sorted(set(range(j.shape[1])) - informed - scatter.robust.keys())
