@@ -5,6 +5,11 @@ from __future__ import annotations
 from functools import partial
 
 
+def counted(number: int, noun: str) -> str:
+    """Return ``1 equation``, ``2 equations`` and so on."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 class UserError(Exception):
     """Base of every error that is raised on purpose; prints as one line.
 

@@ -19,6 +19,7 @@ import numpy as np
 from fmu_build import algebra
 from fmu_build.aliases import Aliases, preference
 from fmu_build.equations import Equation
+from fmu_build.errors import counted
 from fmu_build.graph import SX, key
 from fmu_build.matching import augment
 from fmu_build.scope import ModelScope
@@ -185,9 +186,8 @@ def _check_structure(system: _System) -> None:
             _singular(system, involved, [system.chains[c][0] for c in sorted(seen)])
     missing = [system.chains[c][0].name() for c in range(len(system.chains)) if c not in matched]
     if missing:
-        raise system.scope.flat.error(
-            f"{len(rows)} equations for {len(system.chains)} unknowns: nothing determines {_some(missing)}", None
-        )
+        equations, unknowns = counted(len(rows), "equation"), counted(len(system.chains), "unknown")
+        raise system.scope.flat.error(f"{equations} for {unknowns}: nothing determines {_some(missing)}", None)
 
 
 def _singular(system: _System, equations: list[int], unknowns: list[SX]) -> NoReturn:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from fmu_build.errors import ModelicaError
+from fmu_build.errors import ModelicaError, counted
 from fmu_build.flat_model import Connector, Equation, Origin
 from fmu_build.front.classes import ClassDef, ComponentDef, Modification
 from fmu_build.front.connector_checks import Element, Leaf, Sets, Signals, is_connector
@@ -414,7 +414,7 @@ class _Path:
     def _indices(self, dims: tuple[int, ...], part: Part) -> Iterator[tuple[int, ...]]:
         e = self._e
         if len(part.subscripts) > len(dims):
-            raise ModelicaError(f"'{part.name}' has {len(dims)} dimensions", where=e.at)
+            raise ModelicaError(f"'{part.name}' has {counted(len(dims), 'dimension')}", where=e.at)
         choices = []
         for k, n in enumerate(dims):
             subscript = part.subscripts[k] if k < len(part.subscripts) else All(e.at)

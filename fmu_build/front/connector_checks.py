@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fmu_build import algebra
-from fmu_build.errors import ModelicaError
+from fmu_build.errors import ModelicaError, counted
 from fmu_build.front.classes import ComponentDef
 from fmu_build.front.instances import Instance
 from fmu_build.front.resolve import Item, Many, Resolver, Var
@@ -146,8 +146,14 @@ def check_connector(connector: Instance, resolver: Resolver) -> None:
         else:
             parts += _parts(item, resolver)
     if count["stream"] and count["flow"] != 1:
-        what = f"connector '{name}' has stream variables and {count['flow']} flows; it needs one"
+        what = (
+            f"connector '{name}' has stream variables and {counted(count['flow'], 'flow variable')}; it needs one"
+        )
         raise ModelicaError(what, where=at)
     if count["flow"] != count["potential"]:
-        what = f"connector '{name}' has {count['flow']} flows and {count['potential']} other variables"
-        raise ModelicaError(f"{what}; their numbers must be equal", where=at)
+        flows, potentials = (
+            counted(count["flow"], "flow variable"),
+            counted(count["potential"], "potential variable"),
+        )
+        what = f"connector '{name}' has {flows}, but {potentials}; their numbers must be equal"
+        raise ModelicaError(what, where=at)

@@ -14,7 +14,7 @@ from typing import Any
 from fmu_build import algebra
 from fmu_build.algebra import Array, UnknownSizeError, Value
 from fmu_build.builtin_functions import NAMED, SUPPORTED, UNSUPPORTED
-from fmu_build.errors import ModelicaError
+from fmu_build.errors import ModelicaError, counted
 from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import Formal, Function
 from fmu_build.front.classes import ClassDef, ComponentDef
@@ -1010,7 +1010,7 @@ class Resolver:
     ) -> tuple[Expression | None, ...]:
         given: list[Expression | None] = list(self._all(e.arguments, scope, env))
         if len(given) > len(names):
-            raise ModelicaError(f"{shown}() has {len(names)} arguments, not {len(given)}", where=e.at)
+            raise ModelicaError(f"{shown}() has {counted(len(names), 'argument')}, not {len(given)}", where=e.at)
         given += [None] * (len(names) - len(given))
         for key, value in e.named:
             if key not in names:
@@ -1078,7 +1078,7 @@ class Resolver:
         if not isinstance(position, int):
             return None
         if not 1 <= position <= len(dims):
-            raise ModelicaError(f"'{first.name}' has {len(dims)} dimensions", where=e.at)
+            raise ModelicaError(f"'{first.name}' has {counted(len(dims), 'dimension')}", where=e.at)
         return Literal(e.at, dims[position - 1])
 
     def _cardinality(self, e: Call, scope: Instance, env: Env) -> Literal:
@@ -1402,7 +1402,7 @@ class _Path:
         e, resolver = self._e, self._resolver
         subscripts = resolver._all(part.subscripts, self._scope, self._env)
         if len(subscripts) > len(item.dims):
-            raise ModelicaError(f"'{item.name}' has {len(item.dims)} dimensions", where=e.at)
+            raise ModelicaError(f"'{item.name}' has {counted(len(item.dims), 'dimension')}", where=e.at)
         for subscript, size in zip(subscripts, item.element.subscripts, strict=False):
             number = isinstance(subscript, Literal) and isinstance(subscript.value, int) and not subscript.literals
             if number and isinstance(size, Reference) and resolver._type_range(size, item.slot.scope) is not None:
@@ -1436,7 +1436,7 @@ class _Path:
         e = self._e
         subscripts = self._resolver._all(e.parts[position].subscripts, self._scope, self._env)
         if len(subscripts) > len(many.dims):
-            raise ModelicaError(f"'{many.name}' has {len(many.dims)} dimensions", where=e.at)
+            raise ModelicaError(f"'{many.name}' has {counted(len(many.dims), 'dimension')}", where=e.at)
         chosen: list[list[int] | int] = []
         open_at: list[tuple[int, Expression]] = []
         for k, n in enumerate(many.dims):

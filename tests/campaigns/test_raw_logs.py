@@ -99,7 +99,7 @@ def test_cells_that_are_lists_become_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["q[2]"], [0.2, 0.4])
     assert "not used (not numeric): name" in table.notes
     (tmp_path / "a.csv").write_text('time,q\n0,"[0.1, 0.2]"\n1,"[0.3]"\n')
-    with pytest.raises(MeasurementsError, match="line 3: the list in column 'q' has 1 elements, others have 2"):
+    with pytest.raises(MeasurementsError, match="line 3: the list in column 'q' has 1 element, others have 2"):
         read_csv(tmp_path / "a.csv")
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.files import write_atomically
+from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import check_unit, conversion, convertible
 from fmuid.data.table_layout import TableLayout, source_of
@@ -361,7 +362,7 @@ def _header(text: str, layout: TableLayout, delimiter: str, path: Path) -> tuple
     if bare and not layout.chosen:
         shown = ", ".join(cells[:4]) + (", ..." if len(cells) > 4 else "")
         fix = "name its columns: --columns 'time,tau [N.m]', one name for each"
-        what = f"has no header (its first row has {len(cells)} cells: {shown})"
+        what = f"has no header (its first row has {counted(len(cells), 'cell')}: {shown})"
         raise MeasurementsError(what, where=path, fix=fix)
     if bare:
         return [str(k + 1) for k in range(len(cells))], 0
@@ -513,7 +514,9 @@ def _read_numbers(
             if len(row) != n:
                 where = f"{path} line {skip + rows.line_num}"
                 raise MeasurementsError(
-                    f"has {len(row)} cells, the header has {n}", where=where, fix="write one cell per column"
+                    f"has {counted(len(row), 'cell')}, the header has {n}",
+                    where=where,
+                    fix="write one cell per column",
                 )
             cells.append(row)
             lines.append(skip + rows.line_num)
@@ -543,7 +546,7 @@ def _elements(name: str, cells: Sequence[str], lines: Sequence[int], path: Path)
     for k, (items, line) in enumerate(zip(split, lines, strict=True)):
         where = f"{path} line {line}"
         if items and len(items) != width:
-            what = f"the list in column '{name}' has {len(items)} elements, others have {width}"
+            what = f"the list in column '{name}' has {counted(len(items), 'element')}, others have {width}"
             raise MeasurementsError(what, where=where, fix="write lists of one length")
         values[k, : len(items)] = [_number(item, name, where, decimal_comma=False) for item in items]
     return {f"{name}[{i + 1}]": values[:, i] for i in range(width)}

@@ -13,6 +13,7 @@ import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError
+from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import Recording
@@ -128,7 +129,9 @@ def _times(recording: Recording, base: TimeBase, where: object) -> FloatArray:
     steps = int((end - begin) * base.rate * (1.0 + 1e-9))
     if not 1 <= steps < _MAX_SAMPLES:
         raise MeasurementsError(
-            f"{end - begin:g} s at {base.rate:g} Hz are {steps + 1} samples", where=where, fix="give another rate"
+            f"{end - begin:g} s at {base.rate:g} Hz yields {counted(steps + 1, 'sample')}",
+            where=where,
+            fix="give another rate",
         )
     return np.minimum(begin + np.arange(steps + 1) / base.rate, end)
 
