@@ -17,7 +17,7 @@ from benchmarks import plain_english
         ("page.md", "Choose another folder. This applies to rigs other than actuators.\n", []),
         ("module.py", '"""Return what it is."""\nkept = "back"  # held against the truth\n', [1, 2]),
         ("module.py", "def returns(what):\n    return what\n", []),
-        ("src/module.py", "for value in ():\n    found = value\n    value.found = 1\n", [2]),
+        ("tests/test_module.py", "for value in ():\n    found = value\n    value.found = 1\n", [2]),
     ],
 )
 def test_habits_are_reported_with_their_line(
