@@ -141,12 +141,12 @@ def shipped(request: pytest.FixtureRequest) -> Callable[[str], Simulator]:
 @pytest.fixture(scope="session")
 def effect_fmus(_compiled: None, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     """The FMUs of the actuator with every law at every port, as far as they are off at no cost, by name."""
-    found = {}
+    fmus = {}
     with mock.patch.dict(os.environ, XDG_CACHE_HOME=str(ROOT / "build" / "cache")):
         for name in ACTUATOR:
             source = ModelSource(MODELICA / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}")
-            found[name] = carrier(source, every_law(flat_model(source), tmp_path_factory.mktemp(name)))
-    return found
+            fmus[name] = carrier(source, every_law(flat_model(source), tmp_path_factory.mktemp(name)))
+    return fmus
 
 
 @pytest.fixture(scope="session")

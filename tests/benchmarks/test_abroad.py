@@ -1,4 +1,4 @@
-"""Rigs that are no actuator: a diagnosis from logs and a plain model alone."""
+"""Rigs other than actuators: a diagnosis from logs and a plain model alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def cache(tmp_path_factory):
 
 @pytest.mark.slow
 def test_what_a_plain_model_lacks_is_named_from_logs_alone(tmp_path):
-    found = diagnose(BY_NAME["thermal block"], "radiation@casing", tmp_path / "case", repeats=2)
-    assert found.right, found
-    assert found.closure is not None
-    assert found.closure > 0.8
+    scored = diagnose(BY_NAME["thermal block"], "radiation@casing", tmp_path / "case", repeats=2)
+    assert scored.right, scored
+    assert scored.closure is not None
+    assert scored.closure > 0.8

@@ -173,13 +173,13 @@ def test_a_model_is_complete_to_its_tolerance():
 )
 def test_a_size_is_that_of_the_law(truth, parameter, units, value):
     label = LABEL | {"effects": [truth], "sizes": {truth: 2.0}, "units": units, "same": {}}
-    found = []
+    shares = []
     for size in (2.1, 2.4):
         case = Scored(label, scored(effects=[truth]).record)
         parameters = {parameter: {"value": size, "standard_error": 0.1}}
         case.answer["effects"].append({"id": truth, "parameters": parameters})
-        found.append(next(f for f in figures([case]) if f.name.startswith("size inside")).value)
-    assert found == ([value, 0.0] if value else [None, None])
+        shares.append(next(f for f in figures([case]) if f.name.startswith("size inside")).value)
+    assert shares == ([value, 0.0] if value else [None, None])
 
 
 def test_a_coefficient_has_to_be_named_with_what_it_varies_with():
@@ -220,10 +220,10 @@ def test_what_corrects_an_unknown_effect_counts_also_where_nothing_does():
     cases[0].answer["best"] = {"closure": {"held_out": 0.8}}
     cases[0].answer["law_found"] = {"formula": "1 N*p"}
     cases[1].answer["corrected_differs"] = 0.2
-    found = {f.name.partition(",")[0]: f.value for f in figures(cases)}
-    assert found["unknown: corrected/ closes on left-out runs"] == 0.0
-    assert found["unknown: an equation is found"] == pytest.approx(1 / 3)
-    assert found["corrected/ is the fitted model"] == 0.0
+    shares = {f.name.partition(",")[0]: f.value for f in figures(cases)}
+    assert shares["unknown: corrected/ closes on left-out runs"] == 0.0
+    assert shares["unknown: an equation is found"] == pytest.approx(1 / 3)
+    assert shares["corrected/ is the fitted model"] == 0.0
 
 
 def test_a_law_may_be_named_as_a_coefficient_that_varies_where_that_is_the_same():

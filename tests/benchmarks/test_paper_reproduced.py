@@ -49,9 +49,9 @@ def test_searches_without_derivatives_find_the_rig(fmus: Mapping[str, Path], tmp
     linear, _, first = identify(campaign, stages=["linear", "bearing", "first_10"]).stages
     assert linear.solver == first.solver == "bobyqa"
     for name, truth in LINEAR.items():
-        found = linear[name]
-        assert found.standard_error is not None
-        assert abs(found.value - truth) < 3 * found.standard_error
+        stage = linear[name]
+        assert stage.standard_error is not None
+        assert abs(stage.value - truth) < 3 * stage.standard_error
     assert linear["d_G"].value == pytest.approx(70.625, rel=1e-3)
     row = [first[f"lossTable[2,{column}]"].value for column in range(2, 6)]
     assert row[:2] == pytest.approx(FIRST_ROW[1:3], rel=2e-3)

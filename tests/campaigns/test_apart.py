@@ -70,8 +70,8 @@ def test_one_process_serves_all() -> None:
 
 
 def test_values_stay_read_only(folder: Path, measurements: Measurements) -> None:
-    found = read_measurements(folder / "measurements.h5")
-    for run in found:
+    kept = read_measurements(folder / "measurements.h5")
+    for run in kept:
         assert not run.time.flags.writeable
         assert not any(s.values.flags.writeable for s in run.signals.values())
         np.testing.assert_array_equal(run.time, measurements[run.id].time)

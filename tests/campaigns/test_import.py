@@ -70,22 +70,22 @@ def test_many_files_are_few_lines_and_can_be_imported_again(
     options += ["--mask", "abs(tau) > 0.9", "--shift", "tau=0.02", "--setting", "load.m=1"]
     options += ["--setting", "run_1*:load.m=2", "--out", "m.h5"]
     assert run(["import", *files, *options]) == 0
-    said = capsys.readouterr().out
-    assert said.count("\n") < 12
-    assert "run_00.csv and 14 more: cells are separated by semicolons" in said
-    assert "... and 9 more" in said
-    found = read_measurements("m.h5")
-    assert found["run_00"].time[[0, -1]].tolist() == pytest.approx([0.0, 2.0])
-    assert found["run_03"].time[-1] == pytest.approx(1.5)
-    assert found["run_00"].settings["load.m"] == 1
-    assert found["run_12"].settings["load.m"] == 2
-    tau, u = found["run_05"].signals["tau"].values, found["run_05"].signals["u"].values
+    output = capsys.readouterr().out
+    assert output.count("\n") < 12
+    assert "run_00.csv and 14 more: cells are separated by semicolons" in output
+    assert "... and 9 more" in output
+    measurements = read_measurements("m.h5")
+    assert measurements["run_00"].time[[0, -1]].tolist() == pytest.approx([0.0, 2.0])
+    assert measurements["run_03"].time[-1] == pytest.approx(1.5)
+    assert measurements["run_00"].settings["load.m"] == 1
+    assert measurements["run_12"].settings["load.m"] == 2
+    tau, u = measurements["run_05"].signals["tau"].values, measurements["run_05"].signals["u"].values
     moved = np.cos(np.arange(1.0, 3.0001, 0.01) - 0.02)
     np.testing.assert_allclose(tau[np.isfinite(tau)], moved[np.abs(moved) <= 0.9], atol=1e-9)
     assert np.isfinite(u).all()
     import shlex
 
-    again = shlex.split(found.history)
+    again = shlex.split(measurements.history)
     assert again[:2] == ["fmuid", "import"]
     again[again.index("--out") + 1] = "again.h5"
     assert run(again[1:]) == 0
@@ -93,7 +93,7 @@ def test_many_files_are_few_lines_and_can_be_imported_again(
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
+    ("option", "message"),
     [
         (["--cut", "5"], "'5' is not a time span"),
         (["--cut", "200..300"], "fewer than two samples lie between 200 and 300 s"),
@@ -104,11 +104,11 @@ def test_many_files_are_few_lines_and_can_be_imported_again(
     ],
 )
 def test_an_edit_that_makes_no_sense(
-    logs: Path, capsys: pytest.CaptureFixture[str], option: list[str], said: str
+    logs: Path, capsys: pytest.CaptureFixture[str], option: list[str], message: str
 ) -> None:
     assert run(["import", "run_00.csv", "--setup", "rig", "-i", "u", *option]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 

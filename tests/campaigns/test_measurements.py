@@ -57,7 +57,9 @@ def test_the_file_is_as_the_format_says(folder: Path) -> None:
         assert file["experiments/step_1_r1"].attrs["repeat_of"] == "step_1"
 
 
-@pytest.mark.skipif(not SEALED.is_dir(), reason="the sealed campaigns are not beside this repository")
+@pytest.mark.skipif(
+    not SEALED.is_dir(), reason="the sealed campaigns are not in the folder next to this repository"
+)
 def test_other_peoples_files_read() -> None:
     files = sorted(SEALED.glob("*/measurements.h5"))
     assert len(files) == 16

@@ -41,9 +41,9 @@ def test_spikes_are_left_out_and_the_noise_is_what_it_was(repeats):
     where = [(0, 100), (0, 500), (0, 501), (repeats - 1, 777), (repeats - 1, 300)]
     for run, k in where:
         spiked[run, k] += 0.5
-    cleaned, found = without_outliers(recorded(spiked))
-    assert {(o.experiment, o.kind) for o in found} == {(f"r{r}", "spike") for r, _ in where}
-    assert sorted(t for o in found for t in o.times) == pytest.approx(sorted(TIME[k] for _, k in where))
+    cleaned, outliers = without_outliers(recorded(spiked))
+    assert {(o.experiment, o.kind) for o in outliers} == {(f"r{r}", "spike") for r, _ in where}
+    assert sorted(t for o in outliers for t in o.times) == pytest.approx(sorted(TIME[k] for _, k in where))
     left = np.array([e.outputs["y"].values for e in cleaned])
     assert np.isnan(left).sum() == len(where)
     if repeats > 1:
@@ -57,9 +57,9 @@ def test_a_value_that_a_sensor_held_is_left_out(step, repeats):
     values = runs(repeats, np.random.default_rng(2), sigma=0.001)
     values = step * np.round(values / step) if step else values
     values[0, 200:230] = values[0, 200]
-    _, (found,) = without_outliers(recorded(values))
-    assert (found.kind, found.experiment) == ("held", "r0")
-    assert found.times == pytest.approx(tuple(TIME[201:230]))
+    _, (outlier,) = without_outliers(recorded(values))
+    assert (outlier.kind, outlier.experiment) == ("held", "r0")
+    assert outlier.times == pytest.approx(tuple(TIME[201:230]))
 
 
 def test_what_a_signal_does_is_no_outlier():

@@ -33,11 +33,11 @@ def test_a_log_without_times_and_header_that_is_separated_by_blanks(
     rows = [f" {0.1 * k:.3f}  {k} {-k:d}   {k * k} " for k in range(50)]
     Path("raw.csv").write_text("\n".join(rows) + "\n")
     options = ["--rate", "1000", "-i", "tau", "--columns", "tau [N.m]=1,w [rad/s]=3"]
-    found = imported(["raw.csv"], options)["raw"]
-    np.testing.assert_allclose(found.time, np.arange(50) / 1000)
-    np.testing.assert_allclose(found.signals["tau"].values, np.round(0.1 * np.arange(50), 3))
-    np.testing.assert_array_equal(found.signals["w"].values, -np.arange(50))
-    assert {n: s.unit for n, s in found.signals.items()} == {"tau": "N.m", "w": "rad/s"}
+    run = imported(["raw.csv"], options)["raw"]
+    np.testing.assert_allclose(run.time, np.arange(50) / 1000)
+    np.testing.assert_allclose(run.signals["tau"].values, np.round(0.1 * np.arange(50), 3))
+    np.testing.assert_array_equal(run.signals["w"].values, -np.arange(50))
+    assert {n: s.unit for n, s in run.signals.items()} == {"tau": "N.m", "w": "rad/s"}
     with pytest.raises(MeasurementsError, match=r"has no header \(its first row has 4 cells: 0.000, 0, 0, 0\)"):
         read_csv("raw.csv", TableLayout(rate=1000))
 
@@ -47,9 +47,9 @@ def test_columns_of_a_matrix_are_chosen(tmp_path: Path, monkeypatch: pytest.Monk
     data = np.column_stack([0.05 * np.arange(20), np.ones(20), np.arange(20), -np.arange(20)])
     savemat("a.mat", {"J": 1.2e-4, "data": data, "name": "servo"})
     options = ["-i", "tau", "--columns", "time=data[1],w [rad/s]=data[3],tau [N.m]=data[4]"]
-    found = imported(["a.mat"], options)["a"]
-    np.testing.assert_allclose(found.time, data[:, 0])
-    np.testing.assert_allclose(found.signals["w"].values, data[:, 2])
+    run = imported(["a.mat"], options)["a"]
+    np.testing.assert_allclose(run.time, data[:, 0])
+    np.testing.assert_allclose(run.signals["w"].values, data[:, 2])
     with pytest.raises(MeasurementsError, match=r"has no column 'data\[5\]'; did you mean"):
         read_recording("a.mat", layout=TableLayout(("time=data[5]", "w=data[1]")))
 
@@ -151,11 +151,11 @@ def test_data_frames_are_read_like_csv(tmp_path: Path) -> None:
     columns = {"n [1/min]": [60.0, 120.0], "q [rad]": [[0.1, 0.2], [0.3, 0.4]]}
     for library in ("pandas", "polars"):
         frame = to_frame({"t [ms]": [0.0, 1.0], **columns}, library)  # type: ignore[arg-type]
-        found = read_run(frame, name="log")
-        np.testing.assert_allclose(found.table.time, [0, 0.001])
-        assert list(found.table.columns) == ["n", "q[1]", "q[2]"]
-        assert found.table.units == {"n": "rpm", "q[1]": "rad", "q[2]": "rad"}
-        assert "'n' in 1/min is read as revolutions per minute (rpm)" in found.notes
+        run = read_run(frame, name="log")
+        np.testing.assert_allclose(run.table.time, [0, 0.001])
+        assert list(run.table.columns) == ["n", "q[1]", "q[2]"]
+        assert run.table.units == {"n": "rpm", "q[1]": "rad", "q[2]": "rad"}
+        assert "'n' in 1/min is read as revolutions per minute (rpm)" in run.notes
         without = read_run(to_frame(columns, library), layout=TableLayout(rate=10.0), name="log")  # type: ignore[arg-type]
         np.testing.assert_allclose(without.table.time, [0, 0.1])
 

@@ -55,9 +55,9 @@ def mf4(path: Path) -> Path:
 
 
 def test_mf4(tmp_path: Path) -> None:
-    found = read_recording(mf4(tmp_path / "run.mf4"))
-    assert [list(t.columns) for t in found.tables] == [["i_cmd", "w", "U#0"], ["oil", "mode", "U#1"]]
-    fast, slow = found.tables
+    recording = read_recording(mf4(tmp_path / "run.mf4"))
+    assert [list(t.columns) for t in recording.tables] == [["i_cmd", "w", "U#0"], ["oil", "mode", "U#1"]]
+    fast, slow = recording.tables
     np.testing.assert_array_equal(fast.time, FAST)
     np.testing.assert_array_equal(fast.columns["w"], np.cos(FAST))
     assert (dict(fast.units), dict(slow.units)) == (
@@ -65,8 +65,8 @@ def test_mf4(tmp_path: Path) -> None:
         {"oil": "degC", "U#1": "V"},
     )
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(slow.columns["oil"])), [3])
-    assert found.notes == ("not used (not numeric): state",)
-    assert [list(t.columns) for t in found.only(["w", "mode"]).tables] == [["w"], ["mode"]]
+    assert recording.notes == ("not used (not numeric): state",)
+    assert [list(t.columns) for t in recording.only(["w", "mode"]).tables] == [["w"], ["mode"]]
 
 
 def test_parquet(tmp_path: Path) -> None:
@@ -78,21 +78,21 @@ def test_parquet(tmp_path: Path) -> None:
     ]
     columns = [[0.0, 1.0, 2.0], [0.5, 1.5, 2.5], [1.0, None, 3.0], ["a", "b", "c"]]
     parquet.write_table(pa.table([pa.array(c, f.type) for c, f in zip(columns, fields, strict=True)], schema=pa.schema(fields)), tmp_path / "run.parquet")  # fmt: skip
-    found = read_recording(tmp_path / "run.parquet")
-    (table,) = found.tables
+    recording = read_recording(tmp_path / "run.parquet")
+    (table,) = recording.tables
     np.testing.assert_allclose(table.time, [0, 1e-3, 2e-3])
     np.testing.assert_array_equal(table.columns["w"], [1.0, np.nan, 3.0])
     assert dict(table.units) == {"i_cmd": "A", "w": "rad/s"}
-    assert found.notes == ("not used (not numeric): note",)
+    assert recording.notes == ("not used (not numeric): note",)
 
 
 def test_parquet_with_dates(tmp_path: Path) -> None:
     first = datetime(2026, 5, 1, 12)
     stamps = [first + timedelta(microseconds=100 * k) for k in range(4)]
     parquet.write_table(pa.table({"timestamp": stamps, "x [m]": [0.0, 1.0, 2.0, 3.0]}), tmp_path / "run.parquet")
-    found = read_recording(tmp_path / "run.parquet")
-    np.testing.assert_allclose(found.tables[0].time, [0, 1e-4, 2e-4, 3e-4], rtol=1e-12)
-    assert found.notes == ("time starts at the first date",)
+    recording = read_recording(tmp_path / "run.parquet")
+    np.testing.assert_allclose(recording.tables[0].time, [0, 1e-4, 2e-4, 3e-4], rtol=1e-12)
+    assert recording.notes == ("time starts at the first date",)
 
 
 def test_hdf5_with_two_time_bases(tmp_path: Path) -> None:
@@ -105,12 +105,12 @@ def test_hdf5_with_two_time_bases(tmp_path: Path) -> None:
         file["drive/motor/w"] = FAST
         file["drive/table"] = np.zeros((3, 4))
         file["drive/elsewhere"] = h5py.ExternalLink("/etc/passwd", "/")
-    found = read_recording(tmp_path / "run.h5")
-    assert [list(t.columns) for t in found.tables] == [["drive.motor.w", "drive.x"], ["oil.x"]]
-    np.testing.assert_allclose(found.tables[1].time, SLOW)
-    np.testing.assert_allclose(found.tables[1].columns["oil.x"], np.sin(SLOW))
-    assert found.tables[0].units["drive.x"] == "m"
-    assert found.notes == ("not used (not vectors as long as a time axis): drive.elsewhere, drive.table",)
+    recording = read_recording(tmp_path / "run.h5")
+    assert [list(t.columns) for t in recording.tables] == [["drive.motor.w", "drive.x"], ["oil.x"]]
+    np.testing.assert_allclose(recording.tables[1].time, SLOW)
+    np.testing.assert_allclose(recording.tables[1].columns["oil.x"], np.sin(SLOW))
+    assert recording.tables[0].units["drive.x"] == "m"
+    assert recording.notes == ("not used (not vectors as long as a time axis): drive.elsewhere, drive.table",)
 
 
 def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
@@ -120,9 +120,9 @@ def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
     head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
     with (tmp_path / "run.mat").open("r+b") as raw:
         raw.write(head)
-    found = read_recording(tmp_path / "run.mat")
-    assert found.columns == ("x",)
-    np.testing.assert_array_equal(found.tables[0].columns["x"], SLOW**2)
+    recording = read_recording(tmp_path / "run.mat")
+    assert recording.columns == ("x",)
+    np.testing.assert_array_equal(recording.tables[0].columns["x"], SLOW**2)
 
 
 def result_file(path: Path, storage: str, dtype: str = "f8") -> Path:
@@ -156,8 +156,8 @@ def result_file(path: Path, storage: str, dtype: str = "f8") -> Path:
 
 @pytest.mark.parametrize(("storage", "dtype"), [("binTrans", "f8"), ("binTrans", "f4"), ("binNormal", "f8")])
 def test_result_files_of_modelica_tools(storage: str, dtype: str, tmp_path: Path) -> None:
-    found = read_recording(result_file(tmp_path / "run.mat", storage, dtype))
-    (table,) = found.tables
+    recording = read_recording(result_file(tmp_path / "run.mat", storage, dtype))
+    (table,) = recording.tables
     np.testing.assert_allclose(table.time, [0.0, 0.1, 0.1, 0.2, 0.3], rtol=1e-6)
     assert {n: v.tolist() for n, v in table.columns.items()} == {
         "load.w": [0.0, 1.5, -1.5, 2.0, 2.5],
@@ -165,7 +165,7 @@ def test_result_files_of_modelica_tools(storage: str, dtype: str, tmp_path: Path
         "closed": [0.0, 0.0, 1.0, 1.0, 1.0],
     }
     assert table.units == {"load.w": "rad/s", "flange.w": "rad/s"}
-    assert found.notes == ("not used (constant in this run): load.J",)
+    assert recording.notes == ("not used (constant in this run): load.J",)
     chosen = TableLayout(("time=time", "J [g.m2]=load.J", "w=load.w"))
     (table,) = read_recording(tmp_path / "run.mat", layout=chosen).tables
     assert table.columns["J"] == pytest.approx(np.full(5, 2e-3))
@@ -333,11 +333,11 @@ def test_damaged_recordings_give_no_traceback(
     broken = tmp_path / f"broken.{suffix.rpartition('.')[2]}"
     broken.write_bytes(content[: int(keep * len(content))])
     try:
-        found = read_recording(broken)
+        recording = read_recording(broken)
     except MeasurementsError as error:
         complaint = str(error)
     else:
-        assert isinstance(found, Recording)
+        assert isinstance(recording, Recording)
         return
     assert complaint.startswith(str(broken))
     assert "\n" not in complaint

@@ -105,7 +105,7 @@ def test_import_says_and_records_it(
     # Recorded in the file, and still there when a run is added.
     savemat("more.mat", {"t": FAST, "u": FAST, "x": FAST})
     assert run(["import", "more.mat", *arguments, "--append"]) == 0
-    found = read_measurements("measurements.h5")
-    assert found["run"].time.size == 101
-    assert found["run"].signals["u"].resampled == "hold from 1000 Hz, 1001 samples, 0 to 1 s"
-    assert found["more"].signals["u"].resampled == ""
+    measurements = read_measurements("measurements.h5")
+    assert measurements["run"].time.size == 101
+    assert measurements["run"].signals["u"].resampled == "hold from 1000 Hz, 1001 samples, 0 to 1 s"
+    assert measurements["more"].signals["u"].resampled == ""

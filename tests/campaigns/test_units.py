@@ -49,9 +49,9 @@ from fmuid.core.units import Conversion, check_unit, conversion, convert_factor
     ],
 )
 def test_conversion(source: str, target: str | None, factor: float, offset: float) -> None:
-    found = conversion(source, target)
-    assert found.factor == pytest.approx(factor, rel=1e-12)
-    assert found.offset == pytest.approx(offset, rel=1e-12, abs=1e-12)
+    converted = conversion(source, target)
+    assert converted.factor == pytest.approx(factor, rel=1e-12)
+    assert converted.offset == pytest.approx(offset, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(

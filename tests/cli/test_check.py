@@ -31,10 +31,10 @@ def test_a_campaign_that_is_right(folder: Path, fmuid: Command) -> None:
     assert [line.split()[:2] for line in lines[1:4]] == [["stage", "parameter"], ["all", "m"], ["all", "d"]]
     assert lines[4:6] == ["note: [models.oscillator]: input 'wind' is not driven; it stays at 0", "no errors"]
     assert lines[6:] == [f"next: fmuid identify {folder}  (values and standard errors)"]
-    found = json.loads(Path("found.json").read_text())
-    assert found["ok"] is True
-    assert [f["level"] for f in found["findings"]] == ["note"]
-    mass = found["effects"][0]
+    answer = json.loads(Path("found.json").read_text())
+    assert answer["ok"] is True
+    assert [f["level"] for f in answer["findings"]] == ["note"]
+    mass = answer["effects"][0]
     assert (mass["stage"], mass["parameter"]) == ("all", "m")
     assert 5 < mass["change"] < 50  # 1 % of 1 kg moves the position by about 1 mm, ten times the noise
     assert 0 < mass["floor"] < 0.01 * mass["change"]

@@ -191,8 +191,8 @@ def test_output_that_cannot_be_written_is_one_line(folder: Path) -> None:
         done = subprocess.run(
             [*FMUID, "check", "bench"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
-    said = "fmuid: the output: cannot be read or written (No space left on device)\n"
-    assert (done.returncode, done.stderr) == (2, said)
+    message = "fmuid: the output: cannot be read or written (No space left on device)\n"
+    assert (done.returncode, done.stderr) == (2, message)
 
 
 @pytest.mark.parametrize("closed", ["1", "12", "012"])
@@ -217,16 +217,16 @@ def test_help_lists_the_commands_without_loading_a_library() -> None:
         assert name in shown.stdout
 
 
-@pytest.mark.parametrize(("typed", "found"), [("fmuid ide", "identify"), ("fmuid identify --st", "--stage")])
+@pytest.mark.parametrize(("typed", "completed"), [("fmuid ide", "identify"), ("fmuid identify --st", "--stage")])
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion(shell: str, typed: str, found: str) -> None:
+def test_completion(shell: str, typed: str, completed: str) -> None:
     typed_so_far = {"COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" ")), "_TYPER_COMPLETE_ARGS": typed}
     asked = {"_FMUID_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
     program = Path(sys.executable).with_name("fmuid")
     shown = subprocess.run(
         [program], env=os.environ | typed_so_far | asked, capture_output=True, text=True, check=True, timeout=600
     )
-    assert found in shown.stdout
+    assert completed in shown.stdout
 
 
 def test_colours_and_progress_on_a_terminal_only(folder: Path) -> None:
@@ -319,9 +319,9 @@ def test_compare_within(results: Path, fmuid: Command) -> None:
     lines = out.splitlines()
     assert lines[0].split() == ["variable", "NRMSE", "max", "error", "at", "s", "outside", "within"]
     assert lines[-1] == "all within NRMSE 0.001"
-    found = json.loads(Path("c.json").read_text())
-    assert found["within"] is True
-    (only,) = found["references"]
+    answer = json.loads(Path("c.json").read_text())
+    assert answer["within"] is True
+    (only,) = answer["references"]
     assert [v["name"] for v in only["variables"]] == ["x", "y"]
     assert 0 < only["variables"][0]["nrmse"] < 1e-3
 
@@ -451,8 +451,8 @@ def test_simulate_a_campaign(folder: Path, fmuid: Command) -> None:
     assert sorted(p.name for p in Path("sim").iterdir()) == ["sine.csv", "step.csv"]
     result = read_csv("sim/step.csv")
     assert result.units["position"] == "m"  # the model's unit
-    found = json.loads(Path("s.json").read_text())
-    assert all(row["nrmse"] < 0.01 for row in found["nrmse"])
+    answer = json.loads(Path("s.json").read_text())
+    assert all(row["nrmse"] < 0.01 for row in answer["nrmse"])
     assert fmuid("simulate", folder, "--set", "k=1")[2] == "fmuid: --set: unknown parameter 'k'; known: m, d\n"
     assert (
         fmuid("simulate", folder, "-e", "stp")[2]
@@ -605,10 +605,10 @@ def test_import_refuses_matlab(
 def test_identify_validate_report(folder: Path, fmuid: Command) -> None:
     code, out, err = fmuid("identify", folder, "--out", "run", "--json", "i.json")
     assert (code, "Traceback" in err) == (0, False)
-    found = json.loads(Path("i.json").read_text())
-    assert found["result"]["parameters"]["m"] == pytest.approx(1.2, rel=2e-3)
-    assert found["result"]["parameters"]["d"] == pytest.approx(0.8, rel=2e-2)
-    assert [v["experiment"] for v in found["validation"]] == ["pulse"]
+    answer = json.loads(Path("i.json").read_text())
+    assert answer["result"]["parameters"]["m"] == pytest.approx(1.2, rel=2e-3)
+    assert answer["result"]["parameters"]["d"] == pytest.approx(0.8, rel=2e-2)
+    assert [v["experiment"] for v in answer["validation"]] == ["pulse"]
     assert Path("run/report/index.html").is_file()
     assert "pulse" in out
 

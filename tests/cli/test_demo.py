@@ -41,9 +41,9 @@ def test_the_demo_finds_what_it_does_not_tell(tmp_path, monkeypatch, capfd, buil
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     assert run(["demo", "--open", "--json", "demo.json"]) == 0
-    said = capfd.readouterr().out
+    output = capfd.readouterr().out
     assert json.loads(Path("fmuid-demo/diagnosis/diagnosis.json").read_text())["verdict"]["effects"] == [lacking]
-    assert said.count("\n$ fmuid ") == 3
-    assert f"({lacking})." in said
+    assert output.count("\n$ fmuid ") == 3
+    assert f"({lacking})." in output
     assert opened == [Path("fmuid-demo/diagnosis/index.html").resolve().as_uri()]
     assert lacking in json.loads(Path("demo.json").read_text())["lacking"]

@@ -40,9 +40,9 @@ def design(*options: str) -> int:
 
 def test_a_run_is_designed_for_the_rig_to_play(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert design("--json", "found.json") == 0
-    said = capsys.readouterr().out
-    assert "next: fmuid import RECORDED.csv --setup oscillator --input u --out" in said
-    assert "--append" in said
+    output = capsys.readouterr().out
+    assert "next: fmuid import RECORDED.csv --setup oscillator --input u --out" in output
+    assert "--append" in output
     folder = Path("runs/bench-design")
     answer = json.loads((folder / "design.json").read_text())
     assert answer == json.loads(Path("found.json").read_text())
@@ -57,7 +57,7 @@ def test_a_run_is_designed_for_the_rig_to_play(bench: Path, capsys: pytest.Captu
     for name in ("m", "d"):
         assert 0.0 < answer["parameters"][name]["after"] < answer["parameters"][name]["before"]
     assert answer["gain"] > 1.0
-    assert answer["repeated_run"]["gain"] > 1.0  # better than the best recorded run once more
+    assert answer["repeated_run"]["gain"] > 1.0  # better than repeating the best recorded run
     assert bench.is_dir()
     with (folder / "recorded.csv").open("w") as file:
         file.write("time,u [N],position [mm]\n")

@@ -30,10 +30,10 @@ TASK = Task(np.linspace(0.0, 1.0, 51), {}, ("x", "y", "mode"))
 def plain(path: Path, folder: Path, kind: str, **start_values: float) -> np.ndarray:
     """FMPy on its own, in a folder whose name has to be escaped in a URI."""
     unpacked = fmpy.extract(str(path), str(folder.absolute() / "ä b%20"))
-    found = fmpy.simulate_fmu(
+    simulated = fmpy.simulate_fmu(
         unpacked, output=["x", "y"], fmi_type=kind, start_values=start_values, output_interval=0.02, stop_time=1.0
     )
-    return np.array([found["x"], found["y"]])
+    return np.array([simulated["x"], simulated["y"]])
 
 
 @pytest.fixture(scope="session", params=["2", "3"])

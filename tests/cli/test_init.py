@@ -72,8 +72,8 @@ def test_init_makes_a_campaign_that_runs(
     assert '# [parameters."spare"]' in Path("drive/campaign.toml").read_text()
     assert (campaign.identification, campaign.validation) == (("step", "sine"), ("pulse",))
     assert fmuid("identify", "drive", "--out", "found", "--no-report", "--quiet")[0] == 0
-    found = Result.from_json("found").parameters
-    assert found == pytest.approx({"m": 1.2, "d": 0.8, "c": 90.0}, rel=0.02)
+    parameters = Result.from_json("found").parameters
+    assert parameters == pytest.approx({"m": 1.2, "d": 0.8, "c": 90.0}, rel=0.02)
     score = validate(Result.from_json("found"), campaign)["pulse", "position_lvdt"]
     assert score.unit == "mm"  # as in the log; the model has m
     spread = np.std(campaign.measurements["pulse"].signals["position_lvdt"].values)
@@ -108,9 +108,9 @@ def recorded(u: np.ndarray, time: np.ndarray, *, at_once: bool) -> dict[str, np.
     return {"t": time, "u": u, "i": (acts - 0.1 * w) / 1.2, "speed": w * 60 / (2 * np.pi)}
 
 
-@pytest.mark.parametrize(("at_once", "found"), [(True, "held-read-after"), (False, "held")])
+@pytest.mark.parametrize(("at_once", "timing"), [(True, "held-read-after"), (False, "held")])
 def test_init_sees_when_the_inputs_act(
-    at_once: bool, found: str, winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
+    at_once: bool, timing: str, winding: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:
     monkeypatch.chdir(tmp_path)
     time = np.arange(0, 2, 0.005)
@@ -125,7 +125,7 @@ def test_init_sees_when_the_inputs_act(
         assert any("outputs are read just after they act; held inputs explain the runs" in s for s in lines)
     else:
         assert "inputs are held between their samples" in lines
-    assert load_campaign("campaign").models["Winding"].timing == found
+    assert load_campaign("campaign").models["Winding"].timing == timing
     signals = load_campaign("campaign").measurements["run"].signals
     assert (signals["speed"].sigma, signals["i"].sigma) == (0.5, 0.01)
 
@@ -348,8 +348,8 @@ def test_init_takes_model_exchange_where_the_solver_inside_is_coarse(
     ):
         campaign.write_text(text.replace("co-simulange", "co-simulation"))
         assert fmuid("identify", "drive", "--out", "found", "--no-report", "--quiet")[0] == 0
-        found = Result.from_json("found").parameters
-        ratio = found["c"] / found.get("m", 1.0) / 90
+        parameters = Result.from_json("found").parameters
+        ratio = parameters["c"] / parameters.get("m", 1.0) / 90
         assert abs(ratio - 1) < error if error else abs(ratio - 1) > 5e-3
 
 
@@ -381,8 +381,8 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     named = [*verdict["effects"], *(name for one in verdict["one_of"] for name in one)]
     assert named[0] == truth, out
     assert set(named) <= {truth, "delay@position"}, out
-    (found,) = [e for e in answer["effects"] if e["id"] == truth]
-    (estimate,) = found["parameters"].values()
+    (effect,) = [e for e in answer["effects"] if e["id"] == truth]
+    (estimate,) = effect["parameters"].values()
     assert estimate["value"] == pytest.approx({"gain@position": 1.1, "delay@u": 0.015}[truth], rel=0.03)
 
 

@@ -27,9 +27,9 @@ def test_recorded_runs_lend_their_inputs(
     Path("bench/campaign.toml").write_text(TOML.format(fmu=oscillator))
     command = ["sensitivity", "bench", "--method", "morris", "--workers", "0", "--samples", "8"]
     assert run([*command, "--json", "change.json"]) == 0
-    said = capsys.readouterr().out
-    assert "runs/bench-sensitivity/sensitivity.json" in said
-    assert "next:" not in said
+    output = capsys.readouterr().out
+    assert "runs/bench-sensitivity/sensitivity.json" in output
+    assert "next:" not in output
     change = json.loads(Path("change.json").read_text())
     assert [o["output"] for o in change["outputs"]] == ["step: position", "sine: position"]
     assert all(o["parameters"]["m"]["mu_star"]["value"] > 1.0 for o in change["outputs"])

@@ -21,19 +21,19 @@ def test_from_data_frames_to_estimates_and_back(
     index = pd.to_timedelta(runs[0].time, unit="s") + pd.Timestamp("2026-01-01")
     step = runs[0].to_frame().drop(columns="time [s]").set_index(index.rename("time"))
     frames = {"step": step, "sine": runs[1].to_frame("polars"), "pulse": runs[2].to_frame("pyarrow")}
-    said: list[str] = []
-    campaign = fmuid.start(frames, model=oscillator, out="drive", say=said.append)
+    notes: list[str] = []
+    campaign = fmuid.start(frames, model=oscillator, out="drive", say=notes.append)
     assert list(campaign.measurements.experiments) == ["step", "sine", "pulse"]
     for made, given in zip(campaign.measurements, runs, strict=True):
         np.testing.assert_allclose(made.time, given.time - given.time[0], atol=1e-9)
         for name, signal in given.signals.items():
             np.testing.assert_array_equal(made.signals[name].values, signal.values)
             assert made.signals[name].unit == signal.unit
-    assert any(line.startswith("free parameters: ") for line in said)
+    assert any(line.startswith("free parameters: ") for line in notes)
     result = fmuid.identify(campaign)
-    found = result.to_frame("polars")
-    assert isinstance(found, pl.DataFrame)
-    assert dict(zip(found["name"], found["value"], strict=True)) == {e.name: e.value for e in result.estimates}
+    frame = result.to_frame("polars")
+    assert isinstance(frame, pl.DataFrame)
+    assert dict(zip(frame["name"], frame["value"], strict=True)) == {e.name: e.value for e in result.estimates}
     scores = fmuid.validate(result, campaign).to_frame()
     assert scores.loc[scores["experiment"] == "pulse", "nrmse"].max() < 0.1
 

@@ -53,8 +53,8 @@ def write_ssp(
 
 def component(name: str, file: str, more: str = "", **attributes: str) -> str:
     """Return a Component."""
-    own = {"name": name, "source": f"resources/{file}", **attributes}
-    return f"<ssd:Component {_attributes(own)}>{more}</ssd:Component>"
+    given = {"name": name, "source": f"resources/{file}", **attributes}
+    return f"<ssd:Component {_attributes(given)}>{more}</ssd:Component>"
 
 
 def connector(name: str, kind: str, unit: str = "") -> str:

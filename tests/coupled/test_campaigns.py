@@ -164,8 +164,8 @@ def test_check_warns_of_a_communication_step_that_is_too_long(drive, tmp_path):
         write_campaign(tmp_path, drive, TABLE.format(step=step, extrapolation="linear", **files))
         campaign = load_campaign(tmp_path)
         findings, _ = check_effects(campaign, load_models(campaign))
-        said = [str(f) for f in findings if "halving the communication step changes 'fast: " in f.what]
-        assert bool(said) == warned, findings
+        warnings = [str(f) for f in findings if "halving the communication step changes 'fast: " in f.what]
+        assert bool(warnings) == warned, findings
 
 
 @pytest.mark.parametrize(
@@ -209,11 +209,11 @@ def test_what_was_identified_is_written_back_as_an_ssp(campaign_folder, tmp_path
     result = identify(campaign, out=tmp_path / "run", workers=0)
     written = write_identified(result, campaign, tmp_path / "identified")
     copy = load_system(written.fmus["bench"], Master(1e-3, extrapolation="linear"))
-    found = result.parameters
+    parameters = result.parameters
     expected = {
-        "plant.mgr": found["mgr"],
-        "controller.kp": found["kp"],
-        "controller.ki": found["ki"],
+        "plant.mgr": parameters["mgr"],
+        "controller.kp": parameters["kp"],
+        "controller.ki": parameters["ki"],
         "plant.J_L": 0.45,
     }
     assert {n: copy.variables[n].start for n in expected} == pytest.approx(expected, rel=1e-15)
@@ -247,7 +247,7 @@ trials = [{ "motor.viscous" = 1e-3 }]
 "motor.viscous" = { neutral = 0, lower = 0, upper = 0.05, step = 1e-5, unit = "N.m.s/rad" }
 
 [effects.imbalance]
-description = "another mass beside the axis"
+description = "another mass away from the axis"
 source = "construction"
 port = "motor"
 two_sided = true
@@ -307,8 +307,10 @@ def write_diagnosed(folder: Path, rig: Path, truth: Mapping[str, float]) -> Path
 def test_a_coupled_model_is_diagnosed(drive, effect_fmus, tmp_path, monkeypatch):
     """The plant's counterpart with laws takes its place; the law of the rig is named and measured."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    found = diagnose(write_diagnosed(tmp_path, effect_fmus["EccentricLoad"], {"motor.viscous": 2e-3}), workers=0)
-    answer = found.diagnosis.to_dict()
+    diagnosed = diagnose(
+        write_diagnosed(tmp_path, effect_fmus["EccentricLoad"], {"motor.viscous": 2e-3}), workers=0
+    )
+    answer = diagnosed.diagnosis.to_dict()
     assert answer["verdict"]["effects"] == ["viscous"]
     assert answer["effects"][0]["parameters"]["motor.viscous"]["value"] == pytest.approx(2e-3, rel=0.02)
     assert answer["model"]["parameters"]["mgr"] == pytest.approx(22.0, rel=0.01)

@@ -50,9 +50,9 @@ def test_initial_states_follow_connected_inputs(made, order):
     wires = {"steady.u": ("gain.y", 2.0, 0.1), "gain.u": "source.y"}
     model = coupled({name: files[name] for name in order}, wires, step=2e-2)
     values = {"source.b": 0.7, "gain.k": 1.5, "steady.T": 0.2}
-    found = check(model, values, ("steady.y", "gain.y"))
+    slopes = check(model, values, ("steady.y", "gain.y"))
     at_rest = np.roots([1, 0, 1, -(2 * 1.5 * 0.7 + 0.1)]).real.max()
-    np.testing.assert_allclose(found[0, 0], 2 * 1.5 / (1 + 3 * at_rest**2), rtol=1e-6)
+    np.testing.assert_allclose(slopes[0, 0], 2 * 1.5 / (1 + 3 * at_rest**2), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("algorithm", "extrapolation"), MASTERS)
@@ -62,9 +62,9 @@ def test_events_move_with_a_connected_input(made, algorithm, extrapolation):
         components, {"threshold.u": "wave.y"}, step=5e-3, algorithm=algorithm, extrapolation=extrapolation
     )
     values = {"wave.a": 0.9, "wave.w": 7.0, "threshold.level": 0.3141}
-    found = check(model, values, ("threshold.y",), within=1e-4)
+    slopes = check(model, values, ("threshold.y",), within=1e-4)
     held = extrapolation == "constant"  # then an event is at a communication point, which does not move
-    assert (np.abs(found[:, 0, -1]) > 0.1).all() != held
+    assert (np.abs(slopes[:, 0, -1]) > 0.1).all() != held
 
 
 def test_feedback_without_delay_in_the_loop_by_communication(made):
@@ -89,10 +89,10 @@ def test_iterated_loops_of_a_large_gain(made, extrapolation):
         loop_tolerance=1e-10,
     )
     values = {"lag.T": 0.3, "lag.d": 0.9, "gain.k": 3.5, "lag.x_start": 0.5, "follower.T": 0.05}
-    found = check(model, values, ("lag.y", "gain.y", "follower.x"))
+    slopes = check(model, values, ("lag.y", "gain.y", "follower.x"))
     x, d, k, b = 0.5, 0.9, 3.5, 0.3  # at the start: y = x + d*(b - k*y)
     np.testing.assert_allclose(
-        found[1:3, 0, 0], [(b - k * x) / (1 + d * k) ** 2, -d * (x + d * b) / (1 + d * k) ** 2]
+        slopes[1:3, 0, 0], [(b - k * x) / (1 + d * k) ** 2, -d * (x + d * b) / (1 + d * k) ** 2]
     )
 
 

@@ -1,4 +1,4 @@
-"""Binary sequences held against every sequence there is, and the bound against all of them."""
+"""Binary sequences and their bound, compared with all sequences."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ BOUNDS = (Bounds(-1.0, 2.0, np.inf, 0.0),)
 def slopes(samples: FloatArray) -> FloatArray:
     """Gain and delay-free lag of a first-order system with a stored start, and a direct path: (3, 1, N)."""
     (u,) = samples
-    x, by_lag, found = 0.3, 0.0, []
+    x, by_lag, rows = 0.3, 0.0, []
     for value in u:
-        found.append((x, by_lag, value - x))
+        rows.append((x, by_lag, value - x))
         by_lag = 0.6 * by_lag + 0.5 * (value - x)
         x = 0.6 * x + 0.4 * value
-    return np.array(found).T[:, None]
+    return np.array(rows).T[:, None]
 
 
 def volume(information: FloatArray) -> tuple[float, FloatArray]:
@@ -47,33 +47,33 @@ def cost_of(response: Response, samples: FloatArray) -> float:
 @pytest.mark.parametrize("cost", COSTS)
 def test_the_sequence_is_as_good_as_the_best_of_all_and_none_is_below_the_bound(cost: str) -> None:
     response = Response(slopes, lambda row: row.ravel() / 0.2, KNOWN, COSTS[cost])
-    found = relaxed(response, BOUNDS, TIME)
-    assert found is not None
+    relaxation = relaxed(response, BOUNDS, TIME)
+    assert relaxation is not None
     levels = Levels(BOUNDS, TIME, 1)
     every = [
         cost_of(response, levels(np.array([s]), np.ones(1))) for s in product((-1.0, 1.0), repeat=levels.count)
     ]
-    own = cost_of(response, levels(found.sequence(), np.ones(1)))
-    assert found.bound <= min(every) + 1e-9
+    rounded = cost_of(response, levels(relaxation.sequence(), np.ones(1)))
+    assert relaxation.bound <= min(every) + 1e-9
     spread = np.median(every) - min(every)
-    assert own <= min(every) + 0.02 * spread
-    assert min(every) - found.bound < 0.25 * spread  # a bound that says something
+    assert rounded <= min(every) + 0.02 * spread
+    assert min(every) - relaxation.bound < 0.25 * spread  # a bound that says something
     inside = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 1, levels.count))
-    assert min(cost_of(response, levels(s, np.ones(1))) for s in inside) >= found.bound
+    assert min(cost_of(response, levels(s, np.ones(1))) for s in inside) >= relaxation.bound
 
 
 def test_whitening_that_mixes_samples_counts() -> None:
     rng = np.random.default_rng(1)
     mixing = rng.standard_normal((13, 13))
     response = Response(slopes, lambda row: mixing @ row.ravel(), KNOWN, squares)
-    found = relaxed(response, BOUNDS, TIME)
-    assert found is not None
+    relaxation = relaxed(response, BOUNDS, TIME)
+    assert relaxation is not None
     levels = Levels(BOUNDS, TIME, 1)
     signs = np.where(rng.random((1, levels.count)) > 0.5, 1.0, -1.0)
     s = np.append(1.0, signs.ravel())
-    said = KNOWN + (found.forms @ np.outer(s, s).ravel()).reshape(3, 3)
+    information = KNOWN + (relaxation.forms @ np.outer(s, s).ravel()).reshape(3, 3)
     rows = np.stack([response.whiten(row) for row in slopes(levels(signs, np.ones(1)))])
-    assert said == pytest.approx(KNOWN + rows @ rows.T)
+    assert information == pytest.approx(KNOWN + rows @ rows.T)
 
 
 def test_a_model_that_is_not_linear_in_its_input_has_no_sequence() -> None:
@@ -85,15 +85,15 @@ def test_samples_stay_within_range_and_slope_and_bits_last_as_long_as_a_ramp_tak
     bounds = (Bounds(-1.0, 2.0, 75.0, 0.0),)
     time = 0.02 * np.arange(61)
     response = Response(slopes, lambda row: row.ravel(), KNOWN, squares)
-    found = binary_sequence(response, bounds, time)
-    assert found is not None
-    assert found.levels.length == 2
-    (u,) = found(np.ones(1), time)
+    sequence = binary_sequence(response, bounds, time)
+    assert sequence is not None
+    assert sequence.levels.length == 2
+    (u,) = sequence(np.ones(1), time)
     assert u[0] == u[-1] == 0.0
     assert np.all((u >= -1.0) & (u <= 2.0))
     assert np.max(np.abs(np.diff(u)) / np.diff(time)) <= 75.0 * (1.0 + 1e-9)
-    assert np.max(np.abs(found(np.array([0.5]), time))) <= 1.0
-    assert not found(np.zeros(1), time).any()
+    assert np.max(np.abs(sequence(np.array([0.5]), time))) <= 1.0
+    assert not sequence(np.zeros(1), time).any()
 
 
 def test_each_input_has_a_sequence_of_its_own() -> None:
@@ -102,9 +102,9 @@ def test_each_input_has_a_sequence_of_its_own() -> None:
     def of_two(samples: FloatArray) -> FloatArray:
         return slopes(samples[:1]) + 0.5 * slopes(samples[1:])[::-1]
 
-    found = binary_sequence(Response(of_two, lambda row: row.ravel(), KNOWN, squares), both, TIME)
-    assert isinstance(found, BinarySequence)
-    first, second = found(np.array([1.0, 1.0]), TIME)
+    sequences = binary_sequence(Response(of_two, lambda row: row.ravel(), KNOWN, squares), both, TIME)
+    assert isinstance(sequences, BinarySequence)
+    first, second = sequences(np.array([1.0, 1.0]), TIME)
     assert set(first[1:-1]) == {-1.0, 2.0}
     assert set(second[1:-1]) == {0.0, 1.0}
-    assert found(np.array([1.0, 0.0]), TIME)[1] == pytest.approx(0.5)
+    assert sequences(np.array([1.0, 0.0]), TIME)[1] == pytest.approx(0.5)

@@ -1,4 +1,4 @@
-"""Designs for parameters, held against the optimum where it is known, and against the parameters' true errors."""
+"""Designs for parameters, compared with known optima and with the true errors of parameters."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def designed(what: Campaign, **options: object) -> ParameterDesign:
 
 
 def test_of_a_straight_line_the_ends_are_measured_and_the_errors_are_those_of_theory() -> None:
-    found = designed(campaign())
-    (u,) = found.excitation.samples
+    design = designed(campaign())
+    (u,) = design.excitation.samples
     n = len(u)
     best = n * 0.5 * np.log(n / 0.1**2)  # half of the samples at either end
     information = np.array([[np.sum(u**2), np.sum(u)], [np.sum(u), n]]) / 0.1**2
     assert n * 0.25 * np.linalg.slogdet(information)[1] > 0.97 * best
     theory = np.sqrt(np.diag(np.linalg.inv(information)))
-    assert found.after["a"] == pytest.approx(theory[0] / 2.0, rel=0.02)
-    assert found.after["b"] == pytest.approx(theory[1] / 1.0, rel=0.02)
+    assert design.after["a"] == pytest.approx(theory[0] / 2.0, rel=0.02)
+    assert design.after["b"] == pytest.approx(theory[1] / 1.0, rel=0.02)
 
 
 def test_what_recorded_runs_told_is_not_asked_again() -> None:
@@ -73,20 +73,20 @@ def test_what_recorded_runs_told_is_not_asked_again() -> None:
     }
     runs = Measurements({"rest": Experiment("rest", "line", time, signals)})
     limits = {"u": Limit("u", -1.0, 1.0), "y": Limit("y", 0.0, 2.9)}
-    found = designed(campaign(replace(DESIGN, limits=limits), runs), optimality="A")
-    assert found.before["b"] < 1e-3 < found.before["a"]
-    (u,) = found.excitation.samples
+    design = designed(campaign(replace(DESIGN, limits=limits), runs), optimality="A")
+    assert design.before["b"] < 1e-3 < design.before["a"]
+    (u,) = design.excitation.samples
     assert 2.0 * u.max() + 1.0 <= 2.9  # the limit of the output
     assert 2.0 * u.min() + 1.0 >= 0.0
-    assert found.gain > 100.0
-    assert found.repeated is not None
-    assert found.repeated[0] == "rest"
-    assert found.repeated[1]["a"] > 10.0 * found.after["a"]
+    assert design.gain > 100.0
+    assert design.repeated is not None
+    assert design.repeated[0] == "rest"
+    assert design.repeated[1]["a"] > 10.0 * design.after["a"]
 
 
 def test_limits_are_kept_whatever_the_parameters_may_be() -> None:
-    found = designed(campaign(replace(DESIGN, limits={**DESIGN.limits, "y": Limit("y", -0.5, 2.0)})))
-    (u,) = found.excitation.samples
+    design = designed(campaign(replace(DESIGN, limits={**DESIGN.limits, "y": Limit("y", -0.5, 2.0)})))
+    (u,) = design.excitation.samples
     assert np.ptp(u) > 0.3
     assert 2.0 * u.max() + 1.0 < 2.0  # with a margin for a that is larger
     with pytest.raises(FmuidError, match=r"none of .* excitations stays within every limit: each one exceeds y"):
@@ -125,7 +125,7 @@ def test_an_interrupted_search_gives_what_it_has_reached() -> None:
                 raise KeyboardInterrupt
             return super().simulate(task, parameters)
 
-    found = design_for_parameters(campaign(), lambda _: Stopped(), in_process, evaluations=120)
-    assert found.excitation.interrupted
-    assert 0 < found.excitation.evaluations < 60
-    assert found.after["a"] < found.before["a"]
+    design = design_for_parameters(campaign(), lambda _: Stopped(), in_process, evaluations=120)
+    assert design.excitation.interrupted
+    assert 0 < design.excitation.evaluations < 60
+    assert design.after["a"] < design.before["a"]

@@ -36,8 +36,8 @@ def campaign(design: DesignSpec = DESIGN) -> Campaign:
 
 def fitted(subject: Subject, *names: str) -> list[Fitted]:
     by_id = {e.id: e for e in subject.effects}
-    found = [fit_effects(subject, [by_id[n]], [dict(trial) for trial in by_id[n].trials]) for n in names]
-    return [f for f in found if f is not None]
+    answers = [fit_effects(subject, [by_id[n]], [dict(trial) for trial in by_id[n].trials]) for n in names]
+    return [f for f in answers if f is not None]
 
 
 def played(
@@ -145,7 +145,7 @@ def test_an_answer_that_can_follow_when_it_is_refitted_is_not_far_away() -> None
 
 
 def test_an_answer_is_left_alone_as_often_as_was_said() -> None:
-    kept, said = [], []
+    kept, promised = [], []
     for seed in range(40):
         truth = {"square": float(np.random.default_rng(seed).uniform(-0.2, 0.2))}
         subject = plant(truth, experiments=("sine", "ramp"), repeats=2, noise=4.0, seed=seed)
@@ -155,12 +155,12 @@ def test_an_answer_is_left_alone_as_often_as_was_said() -> None:
         u = 2.0 * np.sign(np.sin(5.0 * planned.time))[None]
         rivals = tuple(rival_of(f, subject.observed, draws=3, seed=seed) for f in answers)
         apart = Apart(planned, rivals, subject).distances(u)
-        said.append(chances(apart, rivals)[0])
+        promised.append(chances(apart, rivals)[0])
         designed = DiagnosisDesign(planned, Excitation(u, Judged(0.0), "", 1), rivals, apart)
         after = played(subject, designed, truth, seed=100 + seed, noise=4.0)
         right, wrong = fitted(after, "quadratic", "tilt")
         kept.append(decide.log_odds(right, wrong, after.observed) > np.log(decide.OPEN))
-    likely = np.array(said) > 0.5
+    likely = np.array(promised) > 0.5
     assert 10 < likely.sum() < 30
-    assert abs(np.mean(said) - np.mean(kept)) < 0.15
+    assert abs(np.mean(promised) - np.mean(kept)) < 0.15
     assert np.mean(np.array(kept)[likely]) > np.mean(np.array(kept)[~likely]) + 0.4

@@ -126,8 +126,8 @@ def test_calibrating_diagnoses_every_plant_and_is_kept_under_its_key(fitted, tmp
     subject, fit, paths = fitted
 
     def diagnose(made):
-        found = diagnose_subject(made, calibration=Calibration()).diagnosis
-        return found.verdict, {a.effects: a.probability for a in found.answers}
+        diagnosis = diagnose_subject(made, calibration=Calibration()).diagnosis
+        return diagnosis.verdict, {a.effects: a.probability for a in diagnosis.answers}
 
     trials = calibrate(subject, fit, paths, diagnose, count=4)
     assert len(trials) == 4
@@ -136,9 +136,9 @@ def test_calibrating_diagnoses_every_plant_and_is_kept_under_its_key(fitted, tmp
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     key = key_of([], subject)
     assert kept(key) is None
-    found = fit_curves(trials, "here")
-    keep(key, found)
-    assert kept(key).curves == found.curves
+    curves = fit_curves(trials, "here")
+    keep(key, curves)
+    assert kept(key).curves == curves.curves
     assert key_of([], plant({}, repeats=4)) != key
 
 

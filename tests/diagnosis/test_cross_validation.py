@@ -184,14 +184,14 @@ def test_the_sizes_of_parameters_do_not_matter():
     observed = recorded(*[[[0.0, 0.0]]] * 3)
     residuals = tuple(np.array(r) for r in ([-1.0, -5.0], [-3.0, -7.0], [-8.0, -9.0]))
     unknowns = tuple(Unknown(n, 0.0, -np.inf, np.inf, 1.0) for n in "ab")
-    found = [
+    losses = [
         leave_each_out(
             Refit(unknowns, {"a": 0.0, "b": 0.0}, residuals, (np.diag([1.0, size]),) * 3, 0.0, 0, True), observed
         ).loss
         for size in (1.0, 1e8)
     ]
-    assert found[0][0] == pytest.approx(((5.5 - 1.0) ** 2 + (8.0 - 5.0) ** 2) / 2 - 1.0, rel=1e-4)
-    assert found[1] == pytest.approx(found[0], rel=1e-4)
+    assert losses[0][0] == pytest.approx(((5.5 - 1.0) ** 2 + (8.0 - 5.0) ** 2) / 2 - 1.0, rel=1e-4)
+    assert losses[1] == pytest.approx(losses[0], rel=1e-4)
 
 
 def test_every_run_has_a_loss_of_its_own():
@@ -237,8 +237,8 @@ def test_what_a_model_predicts_beyond_all_numbers_counts_as_a_failure():
     case = measured_case("run", Constant(), Task(TIME, {}, ("y",)), {"y": 1.0 + 0.1 * np.sin(40.0 * TIME)})
     model = CampaignModel((case,))
     observed = SimpleNamespace(residual=lambda _, y: y.ravel(), residuals=lambda ys: tuple(y.ravel() for y in ys))
-    found, none = model.residuals_of([(0, {"k": 2.0}), (0, {"k": 1e200})], observed)
-    assert found == pytest.approx(2.0)
+    residuals, none = model.residuals_of([(0, {"k": 2.0}), (0, {"k": 1e200})], observed)
+    assert residuals == pytest.approx(2.0)
     assert none is None
     assert model.residuals_at({"k": 1e200}, observed) is None
 
@@ -254,7 +254,7 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     assert closure(lost(0.0, 0.0, 0.0), after) == 0.0
     assert closure(after, before) == pytest.approx(-1.0)
     assert closure_interval(before, after) == pytest.approx((0.5, 0.5))
-    # Of a gap below one floor, too.
+    # Also of a gap below one floor.
     assert closure_interval(lost(0.25, 0.25), lost(0.01, 0.01)) == pytest.approx((0.8, 0.8))
     low, high = closure_interval(before, lost(0.0, 1.0, 4.0))
     assert low <= closure(before, lost(0.0, 1.0, 4.0)) <= high
@@ -306,10 +306,10 @@ def test_a_closure_interval_is_one_of_90_percent_and_the_same_each_time():
         HeldOut(x.mean(axis=1), tuple(x), np.full(6, 100.0))
         for x in (rng.uniform(a, a + 1, (6, 5)) for a in (4, 1))
     )
-    found = closure_interval(before, after)
-    assert found == closure_interval(before, after, level=0.9, draws=2000, seed=0)
+    interval = closure_interval(before, after)
+    assert interval == closure_interval(before, after, level=0.9, draws=2000, seed=0)
     for other in ({"level": 0.91}, {"draws": 1999}, {"draws": 2001}, {"seed": 1}):
-        assert found != closure_interval(before, after, **other)
+        assert interval != closure_interval(before, after, **other)
 
 
 def test_an_advantage_that_the_runs_do_not_agree_on_is_within_its_error():
@@ -338,7 +338,7 @@ def test_the_error_of_an_advantage_is_that_of_a_mean_over_the_runs():
     # One run alone has no scatter.
     one, zero = (HeldOut(np.array([x]), (np.ones(1),), np.array([100.0])) for x in (3.0, 0.0))
     assert advantage(zero, one) == (3.0, 0.0)
-    # Of what was not repeated beside what was, the scatter is unknown: it adds nothing.
+    # The scatter of runs without repeats is unknown: they add nothing.
     mixed = HeldOut(np.array([2.0, 5.0]), (np.array([1.0, 3.0]), np.array([5.0])), np.array([100.0, 100.0]))
     still = HeldOut(np.zeros(2), (np.zeros(2), np.zeros(1)), np.array([100.0, 100.0]))
     assert advantage(still, mixed) == pytest.approx((3.5, 0.5))

@@ -153,9 +153,9 @@ def test_names_that_close_far_less_are_not_listed_beside_the_best():
     )
     pair = fitted(("near", "best"), 1.0, residuals=[[0.0], [0.0]])
     again = fitted(("near",), 1.2, residuals=[[0.0], [0.03]], cost=9.0)
-    found = survivors(best, [far, again, near, pair, best], RECORDED)
-    assert [f.effects for f in found] == [("best",), ("near",)]
-    assert found[1] is near
+    answers = survivors(best, [far, again, near, pair, best], RECORDED)
+    assert [f.effects for f in answers] == [("best",), ("near",)]
+    assert answers[1] is near
 
 
 def test_the_likeliest_answer_weighs_most_whatever_predicts_experiments_left_out_best():
@@ -372,8 +372,8 @@ UNKNOWNS = (
 def test_a_law_at_bounds_that_nobody_thought_plausible_is_strained(values, strain):
     neutral, trial = {"size": 0.0, "shape": 1.0, "onset": 1.0}, {"size": 0.1, "shape": 0.1, "onset": 9.0}
     effect = Effect("e", "", "p", UNKNOWNS, neutral, (trial,), shapes=frozenset({"shape", "onset"}))
-    found = dict(zip(neutral, values, strict=True))
-    best = Fitted(("e",), Refit(UNKNOWNS, found, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
+    sizes = dict(zip(neutral, values, strict=True))
+    best = Fitted(("e",), Refit(UNKNOWNS, sizes, (), (), 0.0, 0, True), lost(1.0), lost(1.0), 1.0)
     assert strained(best, [effect]) is strain
     assert strained(Fitted(("other",), best.fit, best.held_out, best.judged, 1.0), [effect]) is False
     ends = replace(effect, natural=frozenset({"shape", "onset"}))  # shares, say, which end at 0 and 1
@@ -393,10 +393,10 @@ def test_an_effect_of_one_sign_may_be_off_at_its_bound():
     assert at_its_lower_bound(two_sided=True) == ({0.0, 1.0}, False)  # at neutral, which is plausible
 
 
-@pytest.mark.parametrize(("left", "found"), [(0.149, True), (0.15, True), (0.151, False)])
-def test_one_free_function_takes_the_place_of_two_effects_at_one_port(left, found):
+@pytest.mark.parametrize(("left", "replaced"), [(0.149, True), (0.15, True), (0.151, False)])
+def test_one_free_function_takes_the_place_of_two_effects_at_one_port(left, replaced):
     """Even where they close nearly all, and if it leaves a little more: one law of one variable is simpler."""
-    assert lumped(fitted(("a", "b"), 0.1), [free(0.9), free(left)]) is found
+    assert lumped(fitted(("a", "b"), 0.1), [free(0.9), free(left)]) is replaced
     assert lumped(fitted(("a", "b"), 0.1), []) is False
 
 
@@ -483,8 +483,8 @@ def test_laws_of_one_place_are_one_answer_if_no_data_tell_them_apart(apart, clas
     answers = [
         fitted((n,), 0.0, residuals=([0.0, d],), cost=d * d) for n, d in (("coulomb", 0.0), ("viscous", apart))
     ]
-    found = decide.merge_equivalent(answers, nominal, effects, Recorded(np.array([1.0])))
-    assert len(found) == classes
+    merged = decide.merge_equivalent(answers, nominal, effects, Recorded(np.array([1.0])))
+    assert len(merged) == classes
 
 
 @pytest.mark.parametrize(("closure", "sure"), [(0.65, False), (0.68, True)])
@@ -529,7 +529,7 @@ def test_the_best_explanation_is_plausible_and_simple(monkeypatch, scatter, stra
     )
     monkeypatch.setattr(decide, "strained", lambda fit, _: any(n in strained for n in fit.effects))
     monkeypatch.setattr(decide, "closes_something", lambda *_: True)
-    found = SimpleNamespace(
+    diagnosis = SimpleNamespace(
         evidence=SimpleNamespace(present=True), candidates=[one, two, poor], nominal=fitted((), 3.0)
     )
 
@@ -539,4 +539,4 @@ def test_the_best_explanation_is_plausible_and_simple(monkeypatch, scatter, stra
         def __call__(self, fit):
             return SimpleNamespace(validated=1.0 - fit.held_out.gap / 3.0)
 
-    assert diagnose._explaining(found, Closing()).effects == best
+    assert diagnose._explaining(diagnosis, Closing()).effects == best

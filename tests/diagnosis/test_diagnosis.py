@@ -16,18 +16,18 @@ SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_te
 
 
 def says(answer: dict) -> tuple:
-    """Return what a verdict says: its kind, the effects that it names, and the ports."""
+    """Return a verdict's kind, effects and ports."""
     verdict = answer["verdict"]
     return verdict["kind"], verdict["effects"], verdict["one_of"], verdict["ports"]
 
 
-def check(found: Found) -> dict:
+def check(diagnosed: Found) -> dict:
     """Hold what every diagnosis must keep; return its JSON value."""
-    answer = found.diagnosis.to_dict()
+    answer = diagnosed.diagnosis.to_dict()
     text = json.dumps(answer, allow_nan=False)
     jsonschema.Draft202012Validator(SCHEMA).validate(json.loads(text))
     assert sum(a["probability"] for a in answer["answers"]) == pytest.approx(1.0)
-    assert {e["id"] for e in answer["effects"]} == {e.id for e in found.subject.effects}
+    assert {e["id"] for e in answer["effects"]} == {e.id for e in diagnosed.subject.effects}
     for effect in answer["effects"]:
         inclusion = sum(a["probability"] for a in answer["answers"] if effect["id"] in a["effects"])
         assert effect["probability"] == pytest.approx(inclusion)
@@ -55,9 +55,9 @@ def test_a_complete_model_is_called_complete():
 
 @pytest.mark.parametrize("repeats", [2, 5])
 def test_a_counted_speed_that_repeats_exactly_is_no_gap(repeats):
-    found = diagnose_subject(plant({}, repeats=repeats, step=0.02)).diagnosis
-    assert found.verdict.kind == "complete"
-    assert found.gap.floor_units["v"] == pytest.approx(0.02 / np.sqrt(12), rel=0.01)
+    diagnosis = diagnose_subject(plant({}, repeats=repeats, step=0.02)).diagnosis
+    assert diagnosis.verdict.kind == "complete"
+    assert diagnosis.gap.floor_units["v"] == pytest.approx(0.02 / np.sqrt(12), rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -81,10 +81,10 @@ def test_one_effect_is_named_measured_and_closes_the_gap(truth, effect, port, es
     assert (best["id"], best["probability"] > 0.9) == (effect, True)
     assert best["closure"]["held_out"] > 0.9
     for name, value in estimate.items():
-        found = best["parameters"][name]
-        assert found["value"] == pytest.approx(value, rel=0.05)
-        assert abs(found["value"] - value) < 5 * found["standard_error"] + 1e-3 * abs(value)
-        assert answer["model"]["parameters"][name] == found["value"]
+        parameter = best["parameters"][name]
+        assert parameter["value"] == pytest.approx(value, rel=0.05)
+        assert abs(parameter["value"] - value) < 5 * parameter["standard_error"] + 1e-3 * abs(value)
+        assert answer["model"]["parameters"][name] == parameter["value"]
     # Where: the shares are of the whole gap, the largest first.
     shares = [w["share"] for w in answer["where"]]
     assert shares == sorted(shares, reverse=True)

@@ -42,27 +42,27 @@ def trolley(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def record(folder: Path, repeats: int = 5, seed: int = 1, **truth: float) -> None:
     """Write runs of a trolley with `truth` and noise."""
     rng = np.random.default_rng(seed)
-    fmu, found = load_fmu(folder / "Trolley.fmu"), {}
+    fmu, runs = load_fmu(folder / "Trolley.fmu"), {}
     for name, u in INPUTS.items():
         (v,) = fmu.simulate(Task(TIME, {"u": u}, ("v",)), {"m": 1.0, "d": 0.8, **truth})
         for k in range(repeats):
             measured = v + 5e-3 * rng.standard_normal(len(v)) + 1e-3 * rng.standard_normal()
             signals = {"u": Signal("u", u, "N", "input"), "v": Signal("v", measured, "m/s", "output")}
             id_ = f"{name}_r{k}" if k else name
-            found[id_] = Experiment(id_, "bench", TIME, signals, repeat_of=name if k else None)
-    write_measurements(Measurements(found), folder / "measurements.h5")
+            runs[id_] = Experiment(id_, "bench", TIME, signals, repeat_of=name if k else None)
+    write_measurements(Measurements(runs), folder / "measurements.h5")
 
 
 def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     record(trolley, drag=0.3)
     out = tmp_path / "diagnosis"
     assert run(["diagnose", str(trolley), "--out", str(out), "--workers", "0"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert re.search(
         r"Verdict: Air drag is missing at friction \(9\d %\)\nIn words: friction grows with the square of speed\n",
-        said,
+        output,
     )
-    assert "closure (held out)" in said
+    assert "closure (held out)" in output
     answer = json.loads((out / "diagnosis.json").read_text())
     verdict = answer["verdict"]
     assert (verdict["kind"], verdict["effects"], verdict["port"]) == ("effect", ["air_drag"], "friction")
@@ -76,13 +76,13 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     # From the verdict to action: identify goes on from the corrected model, and nothing more is missing in it.
     corrected = out / "corrected"
     assert {p.name for p in corrected.iterdir()} == {"Trolley.fmu", "campaign.toml", "parameters.ssv"}
-    assert f"next: fmuid diagnose {corrected}" in said
+    assert f"next: fmuid diagnose {corrected}" in output
     assert load_fmu(corrected / "Trolley.fmu").variables["drag"].start == pytest.approx(0.3, rel=0.03)
-    found = tmp_path / "found"
-    assert run(["identify", str(corrected), "--out", str(found), "--no-report", "--quiet", "--workers", "0"]) == 0
-    assert Result.from_json(found)["drag"].value == pytest.approx(0.3, rel=0.03)
+    folder = tmp_path / "found"
+    assert run(["identify", str(corrected), "--out", str(folder), "--no-report", "--quiet", "--workers", "0"]) == 0
+    assert Result.from_json(folder)["drag"].value == pytest.approx(0.3, rel=0.03)
     again = tmp_path / "again"
-    assert run(["diagnose", str(found), "--out", str(again), "--workers", "0", "--quiet"]) == 0
+    assert run(["diagnose", str(folder), "--out", str(again), "--workers", "0", "--quiet"]) == 0
     second = json.loads((again / "diagnosis.json").read_text())
     assert second["verdict"]["kind"] == "complete"
     assert second["nominal"]["parameters"]["drag"] == pytest.approx(0.3, rel=0.03)
@@ -90,7 +90,7 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     assert run(["diagnose", str(corrected), "--out", str(out), "--quiet"]) == 2
     assert "is the campaign's folder" in capsys.readouterr().err
 
-    # On other data: the corrected model beside the nominal one.
+    # On other data: the corrected and the nominal model.
     other = tmp_path / "other"
     shutil.copytree(trolley, other)
     record(other, seed=2, drag=0.3)
@@ -102,18 +102,18 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     capsys.readouterr()
     assert run(["validate", str(out / "diagnosis.json"), str(other), "--json", str(tmp_path / "v.json")]) == 0
     gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]
-    said = capsys.readouterr().out
-    assert "corrected: with air_drag" in said
-    assert "not used for the diagnosis: sine, sine_r1" in said
+    output = capsys.readouterr().out
+    assert "corrected: with air_drag" in output
+    assert "not used for the diagnosis: sine, sine_r1" in output
     assert gaps["all"]["nominal"] > 0.5
     assert gaps["all"]["corrected"] < 0.25
     assert gaps["all"]["closure"] > 0.7
 
-    # On the data that it was made from: not unless they are named, and then it is said.
+    # On the data of the diagnosis: only if they are named, and with a note.
     assert run(["validate", str(out / "diagnosis.json"), str(trolley), "--json", str(tmp_path / "v.json")]) == 2
-    said = capsys.readouterr().err
-    assert "every run was used for the diagnosis; record other runs" in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "every run was used for the diagnosis; record other runs" in message
+    assert message.count("\n") == 1
     assert run(["validate", str(out / "diagnosis.json"), str(trolley), "-e", "slow"]) == 0
     assert "used for the diagnosis, so not a test of it: slow\n" in capsys.readouterr().out
 
@@ -132,9 +132,9 @@ def test_validation_runs_and_their_repeats_stay_out_of_a_diagnosis(trolley, tmp_
 
     validated = tmp_path / "v.json"
     assert run(["validate", str(file), str(tmp_path), "--json", str(validated)]) == 0
-    found = json.loads(validated.read_text())
-    assert {run.partition("_")[0] for run in found["runs"]} == {"slow"}
-    assert found["used_for_the_diagnosis"] == []
+    validation = json.loads(validated.read_text())
+    assert {run.partition("_")[0] for run in validation["runs"]} == {"slow"}
+    assert validation["used_for_the_diagnosis"] == []
     capsys.readouterr()
 
     # A diagnosis of an earlier version did not say what it was made from.
@@ -219,9 +219,9 @@ def test_a_sensor_of_the_criteria_has_its_parameter_whether_it_is_free_or_not(tr
 def test_noise_that_was_not_measured_is_said(trolley, tmp_path, capsys):
     record(trolley, repeats=1, drag=0.9)
     assert run(["diagnose", str(trolley), "--out", str(tmp_path), "--workers", "0"]) == 0
-    said = capsys.readouterr().out
-    assert "Note: Runs were not repeated" in said
-    assert "Air drag" in said.splitlines()[0]
+    output = capsys.readouterr().out
+    assert "Note: Runs were not repeated" in output
+    assert "Air drag" in output.splitlines()[0]
     assert "Not calibrated" in (tmp_path / "index.html").read_text()
 
 
@@ -236,9 +236,9 @@ def test_calibrating_on_plants_of_one_s_own_is_kept_and_used(trolley, tmp_path, 
         assert run([*arguments, *further]) == 0
         answer = json.loads(file.read_text())
         assert answer["verdict"]["effects"] == ["air_drag"]
-        said = capsys.readouterr().out
-        assert "2 simulated plants of this model, noise and set-up" in said
-        assert ("simulated plants with logs like yours diagnosed right" in said) == bool(further)
+        output = capsys.readouterr().out
+        assert "2 simulated plants of this model, noise and set-up" in output
+        assert ("simulated plants with logs like yours diagnosed right" in output) == bool(further)
         assert len(answer.get("rehearsal", [])) == (2 if further else 0)
         probability.append({e["id"]: e["probability"] for e in answer["effects"]})
     (kept,) = (tmp_path / "cache" / "fmuid").glob("calibration-*.json")
@@ -263,9 +263,9 @@ def test_a_mistake_in_the_table_is_one_line(trolley, tmp_path, capsys, table, me
     text = (tmp_path / "campaign.toml").read_text()
     (tmp_path / "campaign.toml").write_text(text[: text.index("[effects]")] + table)
     assert run(["diagnose", str(tmp_path), "--workers", "0"]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
 
 
 VALID = {
@@ -297,9 +297,9 @@ def test_a_diagnosis_that_is_none_or_of_another_model_is_refused_in_one_line(
     record(trolley)
     (tmp_path / "d.json").write_text(json.dumps(VALID | changed))
     assert run(["validate", str(tmp_path / "d.json"), str(trolley), "--workers", "0"]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
 
 
 def test_an_interrupted_diagnosis_goes_on_and_is_never_replaced(trolley, tmp_path, capsys, monkeypatch):

@@ -73,8 +73,8 @@ def test_an_fmu_without_source_has_the_same_response(tmp_path, rig, parameter, d
     ours, theirs = Linearised(model, [parameter]), LinearisedFmu(fmu, [parameter])
     names = list(dict.fromkeys([*ours.needed, *theirs.needed]))
     courses = dict(zip(names, fmu.simulate(Task(time, inputs, tuple(names)), {}), strict=True)) | inputs
-    expected, found = (m.along(time, courses, {}, outputs).to(0, course[None, :]) for m in (ours, theirs))
-    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+    expected, response = (m.along(time, courses, {}, outputs).to(0, course[None, :]) for m in (ours, theirs))
+    assert np.abs(response - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 def contents(path: Path) -> dict[str, bytes]:

@@ -66,11 +66,11 @@ def test_what_the_timing_of_the_log_explains(
     campaign = load_campaign(tmp_path)
     cases = from_campaign(campaign, list(campaign.measurements), (), {"bench": model})
     nominal = [SimpleNamespace(name=n, start=campaign.parameters[n].start) for n in ("R", "C")]
-    found = SimpleNamespace(
+    diagnosed = SimpleNamespace(
         subject=SimpleNamespace(model=SimpleNamespace(cases=cases, fixed={}), nominal=nominal),
         corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, effect: value})),
     )
-    retimed = with_timing_of_log(campaign, found, in_process)
+    retimed = with_timing_of_log(campaign, diagnosed, in_process)
     if timing is None:
         assert retimed is None
     else:

@@ -113,7 +113,7 @@ def course(u, *, C=100.0, G=2.0, square=0.0, start=0.0):
 
 def record(folder, machines, *, campaign=CAMPAIGN, repeats=3, seed=0, starts=None, inputs=HEATING):
     """Write runs of some units, by name and what is true of each, and their campaign."""
-    rng, found = np.random.default_rng(seed), {}
+    rng, runs = np.random.default_rng(seed), {}
     for machine, truth in machines.items():
         for name, u in inputs.items():
             first = f"{name}_{machine}"
@@ -122,11 +122,11 @@ def record(folder, machines, *, campaign=CAMPAIGN, repeats=3, seed=0, starts=Non
                 id_ = f"{first}_r{k}" if k else first
                 seen = clean + 0.05 * rng.standard_normal(len(u))
                 signals = {"P": Signal("P", u, "W", "input"), "T": Signal("T", seen, "K", "output")}
-                found[id_] = Experiment(
+                runs[id_] = Experiment(
                     id_, "bench", TIME, signals, repeat_of=first if k else None, machine=machine
                 )
     folder.mkdir(exist_ok=True)
-    write_measurements(Measurements(found), folder / "measurements.h5")
+    write_measurements(Measurements(runs), folder / "measurements.h5")
     (folder / "campaign.toml").write_text(campaign)
     return folder
 
@@ -155,8 +155,8 @@ def test_each_unit_has_its_own_parameter_in_a_diagnosis_and_all_that_follows_fro
     folder = record(beside(block, tmp_path), truth, campaign=TIED)
     answer = diagnosed(folder, tmp_path / "first")
     assert (answer["verdict"]["kind"], answer["verdict"]["effects"]) == ("effect", ["convection"])
-    own = {f"G@{m}": g for m, g in UNITS.items()} | {f"slope@{m}": 0.1 * g for m, g in UNITS.items()}
-    assert answer["model"]["parameters"] == pytest.approx({"C": 100.0, "square": 0.02, **own}, rel=0.02)
+    per_unit = {f"G@{m}": g for m, g in UNITS.items()} | {f"slope@{m}": 0.1 * g for m, g in UNITS.items()}
+    assert answer["model"]["parameters"] == pytest.approx({"C": 100.0, "square": 0.02, **per_unit}, rel=0.02)
     assert answer["gap"]["corrected"] < 0.25 < 1.0 < answer["gap"]["nominal_refit"]
     assert answer["effects"][0]["parameters"]["square"]["standard_error"] < 1e-3
 
@@ -170,8 +170,8 @@ def test_each_unit_has_its_own_parameter_in_a_diagnosis_and_all_that_follows_fro
     assert campaign.parameters["G"].starts == pytest.approx(UNITS, rel=0.02)
     assert campaign.parameters["slope"].per == "machine"
     assert run(["identify", str(corrected), "--out", str(tmp_path / "run"), "--quiet", "--no-report"]) == 0
-    found = fmuid.Result.from_json(tmp_path / "run")
-    assert {m: found[f"G@{m}"].value for m in UNITS} == pytest.approx(UNITS, rel=0.02)
+    result = fmuid.Result.from_json(tmp_path / "run")
+    assert {m: result[f"G@{m}"].value for m in UNITS} == pytest.approx(UNITS, rel=0.02)
     again = fmuid.diagnose(tmp_path / "run").diagnosis
     assert again.verdict.kind == "complete"
     assert again.gap.nominal == pytest.approx(again.gap.nominal_refit, abs=0.1)
@@ -219,10 +219,10 @@ SHARED = CAMPAIGN.replace('per = "machine"', "")
 
 def differing(block, tmp_path, machines):
     """What a diagnosis says of units that are taken to be alike: which parameters differ, and its lines."""
-    found = fmuid.diagnose(record(beside(block, tmp_path), machines, campaign=SHARED))
-    answer = found.diagnosis.to_dict()
+    diagnosed = fmuid.diagnose(record(beside(block, tmp_path), machines, campaign=SHARED))
+    answer = diagnosed.diagnosis.to_dict()
     jsonschema.Draft202012Validator(SCHEMA).validate(json.loads(json.dumps(answer, allow_nan=False)))
-    lines = [line for line in str(found).splitlines() if "etween machines" in line]
+    lines = [line for line in str(diagnosed).splitlines() if "etween machines" in line]
     return answer, {p["name"]: p for p in answer["machines"]["parameters"]}, lines
 
 
@@ -240,8 +240,8 @@ def test_what_differs_between_units_is_told_from_what_does_not(block, tmp_path, 
     assert answer["machines"]["effects"] == ["convection"]
     assert [n for n, p in parameters.items() if p["differs"]] == [name]
     for machine, truth in machines.items():
-        found = parameters[name]["machines"][machine]
-        assert abs(found["value"] - truth[name]) < 5 * found["standard_error"] < 0.02 * truth[name]
+        estimate = parameters[name]["machines"][machine]
+        assert abs(estimate["value"] - truth[name]) < 5 * estimate["standard_error"] < 0.02 * truth[name]
     low, high = parameters[name]["next_machine"]
     values = [truth[name] for truth in machines.values()]
     assert low < min(values) < max(values) < high

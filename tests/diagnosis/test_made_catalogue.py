@@ -116,7 +116,7 @@ model Like "Components written as the Modelica Standard Library writes them"
     der_T = der(T);
     100*der(T) = port.Q_flow;
   end Capacity;
-  model Support "Takes a torque that it is told"
+  model Support "Takes a torque that is given"
     Rotational.Interfaces.Flange_a flange;
     input Real tau(unit = "N.m");
   equation
@@ -159,7 +159,7 @@ def test_ports_are_found_in_components_written_as_in_the_standard_library(tmp_pa
     (tmp_path / "Like.mo").write_text(LIKE_THE_STANDARD_LIBRARY)
     like = load(tmp_path / "Like.mo", "Like")
     ports = {port.name: port for port in find_ports(like)}
-    # The ends of a rod are one body and have its name. An oven that computes how fast it warms is a store, too.
+    # The ends of a rod are one body and have its name. An oven that computes how fast it warms is also a store.
     assert {name: port.kind for name, port in ports.items()} == {
         "rotor": "node",
         "first": "node",
@@ -248,8 +248,8 @@ def test_friction_under_load_is_that_of_a_gear_with_two_efficiencies(load, rate)
     lost = driving * (forward + bearing) if forward > -bearing else -driven * (forward + bearing)
     shape = {"size": (driving + driven) / 2, "skew": (driving - driven) / (driving + driven), "preload": bearing}
     expression = laws()["load_friction"].of("rotational")
-    found = eval(expression, {"tanh": np.tanh, "abs": abs}, {**shape, "V": 10.0, "load": load, "rate": rate})
-    assert found == pytest.approx(lost * np.sign(rate))
+    torque = eval(expression, {"tanh": np.tanh, "abs": abs}, {**shape, "V": 10.0, "load": load, "rate": rate})
+    assert torque == pytest.approx(lost * np.sign(rate))
 
 
 def law_at(name, domain="rotational", **values):
@@ -298,9 +298,9 @@ def test_the_turns_of_a_shaft_are_counted_through_gears_alone():
         for k in (0.01, 1.0)
     ]
     places = sized([node("slow"), node("fast"), node("free"), spring], [time, time], runs)
-    (found,) = (place.sizes for place in places if place.port.name == "spring")
-    assert found["N"] == pytest.approx(30.0)
-    assert found["W"] == pytest.approx(np.ptp(turn))
+    (sizes,) = (place.sizes for place in places if place.port.name == "spring")
+    assert sizes["N"] == pytest.approx(30.0)
+    assert sizes["W"] == pytest.approx(np.ptp(turn))
 
 
 def test_laws_follow_the_domain():
@@ -366,12 +366,12 @@ def test_friction_under_load_has_the_torque_of_a_rigid_gear_where_nothing_gives_
     values = {"friction.K_c": 0.0, "friction.K_v": viscous}
     task = Task(time, {"tau_ref": np.full(time.size, torque)}, ("w",), tolerance=1e-7)
     loaded = {**values, "arm.load_friction": share}
-    found, plain = (
+    loaded_speed, plain = (
         variants.simulator("servo", loaded).simulate(task, loaded)[0],
         load_fmu(model.fmu).simulate(task, values)[0],
     )
     assert np.abs(plain - truth).max() > 0.05 * np.ptp(truth)
-    assert np.abs(found - truth).max() < 2e-3 * np.ptp(truth)
+    assert np.abs(loaded_speed - truth).max() < 2e-3 * np.ptp(truth)
 
 
 def test_a_parameter_held_at_zero_has_the_scale_of_its_bounds(tmp_path):
@@ -575,8 +575,8 @@ def test_an_elasticity_at_a_rigid_connection_is_a_model_of_its_own(geared):
     time = np.linspace(0.0, 1.0, 101)
     truth = solve_ivp(slope, (0.0, 1.0), np.zeros(6), t_eval=time, rtol=1e-9, atol=1e-9, method="Radau").y[4]
     step = Task(time, {"tau": np.full(time.size, 0.1)}, task.outputs, tolerance=1e-8)
-    found, rigid = (s.simulate(step, v)[1] for s, v in ((simulator, values), (plain, {})))
-    assert np.abs(found - truth).max() < 0.02 * np.abs(rigid - truth).max()
+    elastic, rigid = (s.simulate(step, v)[1] for s, v in ((simulator, values), (plain, {})))
+    assert np.abs(elastic - truth).max() < 0.02 * np.abs(rigid - truth).max()
 
 
 @pytest.mark.parametrize("pull", [0.0, 0.4, 1.0])
@@ -605,10 +605,10 @@ def test_play_parts_and_its_damping_pulls_only_as_much_as_is_said(geared, pull):
     fine = np.linspace(0.0, stop, 20 * (len(rows) - 1) + 1)
     values = {"shaft.backlash_gap": gap, "shaft.backlash_pull": pull, "shaft.d": damping}
     task = Task(fine, {"tau": 0.3 * np.sin(9 * fine)}, ("w_motor", "w_load"), tolerance=1e-7)
-    found = simulator.simulate(task, values)[:, ::20]
+    simulated = simulator.simulate(task, values)[:, ::20]
     truth = np.array(rows).T[2:]
     assert np.allclose(time, fine[::20])
-    assert np.abs(found - truth).max() < 0.02 * np.ptp(truth)
+    assert np.abs(simulated - truth).max() < 0.02 * np.ptp(truth)
 
 
 def test_a_kinematic_error_turns_the_load_and_works_back_without_loss(geared):
@@ -627,16 +627,16 @@ def test_a_kinematic_error_turns_the_load_and_works_back_without_loss(geared):
     base = "shaft.kinematic_error"
     values = {f"{base}_cosine": cosine, f"{base}_sine": sine, f"{base}_order": order}
     task = Task(time, {"tau": np.full(time.size, 0.05)}, ("w_motor", "w_load"), tolerance=1e-7)
-    found, plain = simulator.simulate(task, values), simulator.simulate(task, {})
+    simulated, plain = simulator.simulate(task, values), simulator.simulate(task, {})
     assert np.abs(plain - truth).max() > 0.1
-    assert np.abs(found - truth).max() < 0.02 * np.abs(plain - truth).max()
+    assert np.abs(simulated - truth).max() < 0.02 * np.abs(plain - truth).max()
 
 
 def test_a_twist_that_is_preferred_as_a_state_makes_room_for_backlash_and_kinematic_errors(cache, tmp_path):
     del cache
     time = np.linspace(0.0, 2.0, 401)
     task = Task(time, {"tau": 0.3 * np.sin(9 * time)}, ("w_motor", "w_load"), tolerance=1e-7)
-    off, found = {}, {}
+    off, on = {}, {}
     for name in ("TwoMass", "Relative"):
         source, catalogue = ModelSource(RIGS, f"Rigs.{name}"), every_law(flat(name), tmp_path)
         model = ModelSpec(name, carrier(source, catalogue), source=source)
@@ -647,8 +647,8 @@ def test_a_twist_that_is_preferred_as_a_state_makes_room_for_backlash_and_kinema
         for values in ({"shaft.backlash_gap": 0.02}, {"shaft.kinematic_error_sine": 0.02}):
             simulator = variants.simulator(name, values)
             assert (simulator is None) == (name == "TwoMass")
-            found.setdefault(next(iter(values)), []).append((simulator or plain).simulate(task, values))
-    for one, other in found.values():
+            on.setdefault(next(iter(values)), []).append((simulator or plain).simulate(task, values))
+    for one, other in on.values():
         assert np.abs(one - off["TwoMass"]).max() > 0.1
         assert np.abs(one - other).max() < 1e-4 * np.abs(one).max()
 

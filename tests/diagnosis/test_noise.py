@@ -227,7 +227,7 @@ def test_a_smooth_signal_of_a_single_run_is_as_good_as_its_counts():
 
 
 def test_coloured_noise_of_a_single_run_is_beyond_its_bound():
-    """What is slow cannot be told from an effect: the bound is of the fast part alone."""
+    """Slow noise may be an effect: only the fast part is bounded."""
     rng = np.random.default_rng(9)
     slow = lfilter([1.0], [1.0, -0.95], rng.standard_normal(len(TIME)))
     observed = Observed.from_runs([RepeatedRuns("run", "bench", TIME, ("a",), slow[None, None])])

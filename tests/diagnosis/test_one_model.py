@@ -54,9 +54,9 @@ class Rig:
 
     @cached_property
     def nominal(self) -> Fitted:
-        found = fit_effects(self.subject, (), [{}], iterations=0)
-        assert found is not None
-        return found
+        fitted = fit_effects(self.subject, (), [{}], iterations=0)
+        assert fitted is not None
+        return fitted
 
 
 def recorded(name: str, folder: Path, stages: str, shown: Sequence[Mapping[str, np.ndarray]]) -> Rig:

@@ -57,5 +57,5 @@ def test_a_measured_input_is_neither_a_gap_nor_hides_one(tmp_path, monkeypatch, 
     assert 0.05 < noise < 0.07  # of the sensor, and what the noise of the power adds
     if named:
         (effect,) = (e for e in answer["effects"] if e["id"] == "offset@P")
-        found = effect["parameters"]["P.offset"]
-        assert found["value"] == pytest.approx(offset, abs=3 * found["standard_error"])
+        parameter = effect["parameters"]["P.offset"]
+        assert parameter["value"] == pytest.approx(offset, abs=3 * parameter["standard_error"])

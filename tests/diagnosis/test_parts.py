@@ -89,10 +89,10 @@ def test_the_true_effect_scores_best_and_knows_its_size(asymmetric):
 def test_effects_of_the_same_signature_are_one_class(asymmetric):
     _, _, scores = asymmetric
     signatures = {s.effect: s.signature for s in scores if s.signature is not None}
-    (found,) = alias_classes(signatures, threshold=0.95)
-    assert "tilt" in found
+    (alike,) = alias_classes(signatures, threshold=0.95)
+    assert "tilt" in alike
     assert [t.effect for s in scores for t in s.same] == ["cable"]
-    assert "quadratic" not in found
+    assert "quadratic" not in alike
     e = np.eye(3)
     assert alias_classes({"a": e[0], "b": e[1]}, threshold=0.95) == ()
     assert alias_classes({"c": e[0], "b": -e[0], "a": e[2]}, threshold=0.95) == (("b", "c"),)
@@ -162,11 +162,11 @@ def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
     paths = trajectories(subject.model, nominal.fit.values, regimes)
     paths["drive"] = tuple(case.task.inputs["u"] for case in subject.model.cases)
     regimes["drive"] = Regime("drive", "u", ports=("friction",))
-    free, own = bases(paths, regimes), own_bases(paths, regimes, "friction")
+    free, confined = bases(paths, regimes), own_bases(paths, regimes, "friction")
     assert not any("drive" in over for over in free)
-    assert own.keys() == {"drive", "drive and turn"}
+    assert confined.keys() == {"drive", "drive and turn"}
     assert own_bases(paths, regimes, "reading") == {}
-    swing = own["drive and turn"][0]
+    swing = confined["drive and turn"][0]
     (pushed,) = subject.model.predict_driven(nominal.fit.values, [{"port": [0.1 * s for s in swing]}])
     runs = [
         replace(r, values=r.values + (p - q))
@@ -176,7 +176,7 @@ def test_a_law_of_a_confined_variable_is_sought_at_its_port_alone():
     ]
     observed = Observed(tuple(runs), subject.observed.noise)
     again = fit_effects(replace(subject, observed=observed), (), [{}])
-    decoys = decoys_of(subject, observed, again.fit, "friction", {**free, **own})
+    decoys = decoys_of(subject, observed, again.fit, "friction", {**free, **confined})
     at_port = sorted(decoys, key=lambda d: d.held_out.gap)
     assert at_port[0].over == "drive and turn"
     assert closure(again.held_out, at_port[0].held_out) > 0.7
@@ -285,14 +285,14 @@ def test_effects_that_no_data_tell_apart_are_said_once_by_the_more_usual_and_sim
     observed = Observed.from_runs(runs)
 
     def predict(points, near=None):
-        found = []
+        predictions = []
         for p in points:
             bent = p.get("bent", 0.0) * wave + p.get("bent", 0.0) ** 2 * other
             sizes = p.get("plain", 0.0) + p.get("odd", 0.0) + p.get("two", 0.0)
-            found.append(
+            predictions.append(
                 [(p["k"] * TIME + sizes * wave + bent + p.get("apart", 0.0) * (wave + 0.1 * other))[None]]
             )
-        return found
+        return predictions
 
     def effect(name, *more, usual=True, trial=1.0):
         unknowns = tuple(Unknown(n, 0.0, -9.0, 9.0, 0.01) for n in (name, *more))

@@ -37,32 +37,32 @@ EFFECTS = [effect(name) for name in RESPONSES]
 
 
 def predict(points, near=None):
-    found = []
+    predictions = []
     for point in points:
         ((name, size),) = point.items()
         moved = RESPONSES[name](size)
-        found.append(SimulationError("fails") if moved is None else [np.array(moved)])
-    return found
+        predictions.append(SimulationError("fails") if moved is None else [np.array(moved)])
+    return predictions
 
 
 def seen(*, simulated=True):
     scores = score_effects(predict, OBSERVED, BASE, EFFECTS)
-    found = smallest_seen(predict, OBSERVED, BASE, scores, EFFECTS, threshold=100.0, simulated=simulated)
-    return {name: values[name] for name, values in found.items()}
+    sizes = smallest_seen(predict, OBSERVED, BASE, scores, EFFECTS, threshold=100.0, simulated=simulated)
+    return {name: values[name] for name, values in sizes.items()}
 
 
 def test_sizes_that_would_just_be_seen_are_found_by_simulation():
-    found = seen()
-    assert found.keys() == {"linear", "limit", "growing", "fragile"}
+    sizes = seen()
+    assert sizes.keys() == {"linear", "limit", "growing", "fragile"}
     true = {"linear": 1.0, "limit": 0.625, "growing": np.log(11.0) / 9.0, "fragile": 1.5}
     for name, size in true.items():
-        assert size <= found[name] <= 1.1 * size, name
+        assert size <= sizes[name] <= 1.1 * size, name
 
 
 def test_without_simulations_effects_are_taken_to_act_in_proportion():
-    found = seen(simulated=False)
-    assert found["linear"] == pytest.approx(1.0)
-    assert found["limit"] == pytest.approx(1.0 / 16.0)
+    sizes = seen(simulated=False)
+    assert sizes["linear"] == pytest.approx(1.0)
+    assert sizes["limit"] == pytest.approx(1.0 / 16.0)
 
 
 def test_what_no_sensor_would_show_and_what_fitted_parameters_would_hide_is_listed():

@@ -97,9 +97,9 @@ def test_a_deflection_that_only_shows_at_reversals_is_found_and_measured(
     catalogue.write_text("".join(p for p in parts if not p.startswith("[effects.") or p.startswith(kept)))
 
     assert run(["diagnose", "slider", "--out", "found", "--workers", "0"]) == 0
-    found = json.loads(Path("found/diagnosis.json").read_text())
-    assert (found["verdict"]["kind"], found["verdict"]["effects"]) == ("effect", ["presliding@mass"])
-    values = found["model"]["parameters"]
+    diagnosis = json.loads(Path("found/diagnosis.json").read_text())
+    assert (diagnosis["verdict"]["kind"], diagnosis["verdict"]["effects"]) == ("effect", ["presliding@mass"])
+    values = diagnosis["model"]["parameters"]
     together = values["mass.presliding"] + values["rail.c"]  # which of the two brakes shows at reversals only
     assert together == pytest.approx(FRICTION, rel=0.002)
     assert values["mass.presliding"] == pytest.approx(FRICTION, rel=0.02)

@@ -184,12 +184,12 @@ def diagnosed(folder, source, header, runs):
 
 def integrated(step, inputs, start, rate, *, fine=20):
     """Return the states at every sample of an input that is held until the next."""
-    state, found = np.array(start, dtype=float), []
+    state, states = np.array(start, dtype=float), []
     for u in inputs:
-        found.append(state.copy())
+        states.append(state.copy())
         for _ in range(fine):
             state = state + step / fine * np.array(rate(state, u))
-    return np.array(found)
+    return np.array(states)
 
 
 def test_a_valve_that_opens_only_beyond_a_pressure(tmp_path):
@@ -206,9 +206,9 @@ def test_a_valve_that_opens_only_beyond_a_pressure(tmp_path):
         q -= q.mean()
         h = integrated(step, q, (0.5, 0.5), rate) + 1e-3 * rng.standard_normal((300, 2))
         runs.append(np.column_stack([time, q, h]))
-    found = diagnosed(tmp_path, VESSELS, "time,q [m3/s],h1 [m],h2 [m]", runs)
-    assert found.corrected.effects == ("threshold@valve",)
-    assert found.corrected.fit.values["valve.threshold"] == pytest.approx(0.08, rel=0.02)
+    diagnosis = diagnosed(tmp_path, VESSELS, "time,q [m3/s],h1 [m],h2 [m]", runs)
+    assert diagnosis.corrected.effects == ("threshold@valve",)
+    assert diagnosis.corrected.fit.values["valve.threshold"] == pytest.approx(0.08, rel=0.02)
 
 
 @pytest.mark.slow
@@ -224,10 +224,10 @@ def test_a_cell_whose_voltage_at_rest_depends_on_the_current_before(tmp_path):
         charge, ahead = integrated(step, i, (0.0, 0.0), rate).T
         v = 3.3 + charge + 0.021 * i + 0.03 * ahead + 5e-4 * rng.standard_normal(300)
         runs.append(np.column_stack([time, i, v]))
-    found = diagnosed(tmp_path, CELL, "time,i [A],v [V]", runs)
-    assert found.corrected.effects == ("voltage_hysteresis@source",)
-    assert found.corrected.fit.values["source.voltage_hysteresis"] == pytest.approx(0.03, rel=0.05)
-    assert found.corrected.fit.values["source.voltage_hysteresis_charge"] == pytest.approx(120.0, rel=0.1)
+    diagnosis = diagnosed(tmp_path, CELL, "time,i [A],v [V]", runs)
+    assert diagnosis.corrected.effects == ("voltage_hysteresis@source",)
+    assert diagnosis.corrected.fit.values["source.voltage_hysteresis"] == pytest.approx(0.03, rel=0.05)
+    assert diagnosis.corrected.fit.values["source.voltage_hysteresis_charge"] == pytest.approx(120.0, rel=0.1)
 
 
 @pytest.mark.slow
@@ -244,9 +244,9 @@ def test_a_choke_whose_iron_remembers_the_flux(tmp_path):
         current, iron = integrated(step, v, (0.0, 0.0), rate, fine=100).T
         i = current + 0.3 * iron + 5e-3 * rng.standard_normal(400)
         runs.append(np.column_stack([time, v, i]))
-    found = diagnosed(tmp_path, CHOKE, "time,v [V],i [A]", runs)
-    assert found.corrected.effects == ("iron_hysteresis@inductor",)
-    assert found.corrected.fit.values["inductor.iron_hysteresis"] == pytest.approx(0.3, rel=0.05)
+    diagnosis = diagnosed(tmp_path, CHOKE, "time,v [V],i [A]", runs)
+    assert diagnosis.corrected.effects == ("iron_hysteresis@inductor",)
+    assert diagnosis.corrected.fit.values["inductor.iron_hysteresis"] == pytest.approx(0.3, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -273,6 +273,6 @@ def test_a_valve_with_play_or_a_limited_rate(tmp_path, effect, name, value):
 
         y = integrated(step, u, (0.0, u[0]), rate, fine=50)[:, 0] + 3e-3 * rng.standard_normal(400)
         runs.append(np.column_stack([time, u, y]))
-    found = diagnosed(tmp_path, HEATER, "time,u,y", runs)
-    assert found.corrected.effects == (effect,)
-    assert found.corrected.fit.values[name] == pytest.approx(value, rel=0.02)
+    diagnosis = diagnosed(tmp_path, HEATER, "time,u,y", runs)
+    assert diagnosis.corrected.effects == (effect,)
+    assert diagnosis.corrected.fit.values[name] == pytest.approx(value, rel=0.02)

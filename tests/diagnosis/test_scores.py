@@ -101,17 +101,17 @@ def test_an_effect_of_one_sign_explains_nothing_the_other_way_round():
 
 def test_an_effect_is_scored_by_its_best_trial_that_can_be_simulated():
     def predict(points, near=None):
-        found = []
+        predictions = []
         for p in points:
             if "still" in p:
-                found.append(moved(0.0))
+                predictions.append(moved(0.0))
             elif p.get("broken") or p.get("e") == 3.0:
-                found.append(SimulationError("the integrator gave up"))
+                predictions.append(SimulationError("the integrator gave up"))
             elif "e" in p:
-                found.append(moved(1.0, ((0.0, -1.5), (4 / 3 * min(p["e"], 1.0), 0.0))))
+                predictions.append(moved(1.0, ((0.0, -1.5), (4 / 3 * min(p["e"], 1.0), 0.0))))
             else:
-                found.append(moved(0.1))
-        return found
+                predictions.append(moved(0.1))
+        return predictions
 
     effects = [
         effect("still", 1.0),
@@ -193,14 +193,14 @@ ZERO = fitted([[0.0, 0.0, 0.0]], [np.zeros((3, 1))])
 
 
 def grouped(effects, scores, predict=None):
-    """Which effects are said, each with those that it stands for."""
+    """Return the effects that are listed, each with those that it stands for."""
     linear = {s.effect: s.length * s.signature / s.trial[s.effect] for s in scores if s.signature is not None}
 
     def straight(points, near=None):
         return [[sum((size * linear[n] for n, size in p.items() if n in linear), np.zeros(3))] for p in points]
 
-    said = without_aliases(predict or straight, PLAIN, ZERO, effects, scores)
-    return {s.effect: [t.effect for t in s.same] for s in said}
+    kept = without_aliases(predict or straight, PLAIN, ZERO, effects, scores)
+    return {s.effect: [t.effect for t in s.same] for s in kept}
 
 
 @pytest.mark.parametrize(
@@ -211,12 +211,12 @@ def test_effects_are_the_same_if_what_they_explain_does_not_tell_them_apart_by_a
     """The sine of the angle times what the larger explains, at least five standard deviations."""
     for sine, same in ((0.99 / most, True), (1.01 / most, False)):
         scores = [score("a", 0.3, drops[0]), score("b", 0.3 + np.arcsin(sine), drops[1])]
-        found = grouped([effect("a", 1.0), effect("b", 1.0)], scores)
-        assert found == ({"a": ["b"]} if same else {"a": [], "b": []})
+        groups = grouped([effect("a", 1.0), effect("b", 1.0)], scores)
+        assert groups == ({"a": ["b"]} if same else {"a": [], "b": []})
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "said"),
+    ("first", "second", "named"),
     [
         (effect("a", 1.0, usual=False), effect("b", 1.0, more=("c", "d")), "b"),  # the usual one
         (effect("a", 1.0, more=("c",)), effect("b", 1.0), "b"),  # the simpler one
@@ -225,10 +225,10 @@ def test_effects_are_the_same_if_what_they_explain_does_not_tell_them_apart_by_a
         (effect("a", 1.0), effect("b", 1.0), "a"),
     ],
 )
-def test_of_effects_that_are_the_same_the_more_usual_and_simpler_one_is_said(first, second, said):
+def test_of_effects_that_are_the_same_the_more_usual_and_simpler_one_is_said(first, second, named):
     scores = [score(e.id, 0.0, drop) for e, drop in ((first, 1.0), (second, 2.0))]
-    other = first.id if said == second.id else second.id
-    assert grouped([first, second], scores) == {said: [other]}
+    other = first.id if named == second.id else second.id
+    assert grouped([first, second], scores) == {named: [other]}
 
 
 def test_scores_keep_their_order_and_those_that_move_nothing_stay():
@@ -264,12 +264,12 @@ def test_laws_that_bend_are_compared_once_more_where_both_move_as_much():
     both = [effect("a", 1.0), effect("bent", 10.0, two_sided=True)]
     assert grouped(both, [back, bent(10.0)], predict) == {"a": ["bent"]}
     assert asked[0]["bent"] == pytest.approx(-10.0 / np.hypot(10.0, 1.0))
-    # What moves nothing at that size, or cannot be simulated there, is told apart.
+    # An effect that moves nothing at that size, or cannot be simulated there, is kept apart.
     for outcome in ([np.zeros(3)], SimulationError("the integrator gave up")):
-        found = grouped(
+        groups = grouped(
             both, [ahead, bent(10.0)], lambda points, near=None, outcome=outcome: [outcome for _ in points]
         )
-        assert found == {"a": [], "bent": []}
+        assert groups == {"a": [], "bent": []}
 
 
 def test_an_effect_is_the_same_as_itself_whatever_is_rounded():

@@ -72,5 +72,5 @@ def test_a_case_that_fails_does_not_stop_the_others(tmp_path: Path, capsys):
         (tmp_path / name).mkdir()
         (tmp_path / name / "measurements.h5").write_bytes(b"no HDF5")
     assert sealed.main([str(tmp_path), "--out", str(tmp_path / "out"), "--workers", "1"]) == 1
-    said = capsys.readouterr().err.splitlines()
-    assert [line[:4] for line in said] == ["s01:", "s02:"]
+    lines = capsys.readouterr().err.splitlines()
+    assert [line[:4] for line in lines] == ["s01:", "s02:"]

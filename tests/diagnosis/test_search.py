@@ -29,12 +29,12 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     """`mixture` explains more than either cause does, and is none of them."""
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
     subject = heard(laws, {1: 1.0, 2: 1.0})
-    found = diagnose_subject(subject)
-    singles = {c.effects[0]: c for c in found.candidates if len(c.effects) == 1}
+    diagnosed = diagnose_subject(subject)
+    singles = {c.effects[0]: c for c in diagnosed.candidates if len(c.effects) == 1}
     assert min(singles, key=lambda n: singles[n].fit.cost) == "mixture"
-    assert found.diagnosis.verdict.kind == "effect"
-    assert set(found.diagnosis.verdict.effects) == {"first", "second"}
-    assert found.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
+    assert diagnosed.diagnosis.verdict.kind == "effect"
+    assert set(diagnosed.diagnosis.verdict.effects) == {"first", "second"}
+    assert diagnosed.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
     # Without exchanges and without leaving out what has become needless, the mixture stays, and something with it.
     monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
     monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda best, *_: best)
@@ -56,9 +56,9 @@ def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start
     nominal = fit_effects(subject, (), [{}])
     assert nominal.fit.values["k"] == pytest.approx(-1.0, abs=0.01)
     assert max(s.drop for s in score_further(subject, nominal) if s.effect == "cause") < 1.0
-    found = diagnose_subject(subject).diagnosis
-    assert found.verdict.effects == ("cause",)
-    assert found.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
+    diagnosis = diagnose_subject(subject).diagnosis
+    assert diagnosis.verdict.effects == ("cause",)
+    assert diagnosis.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,8 @@ def test_a_needless_law_is_dropped():
     subject = heard(laws, {1: 1.0, 2: 1.0})
     by_id = {e.id: e for e in subject.effects}
     whole = fit_effects(subject, [by_id[name] for name in ("mixture", "first", "second")], [{}])
-    found = _pruned(whole, [], partial(without, subject), subject.observed)
-    assert found.effects == ("first", "second")
+    pruned = _pruned(whole, [], partial(without, subject), subject.observed)
+    assert pruned.effects == ("first", "second")
 
 
 def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():
@@ -90,10 +90,10 @@ def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():
     by_id = {e.id: e for e in subject.effects}
     pair = fit_effects(subject, [by_id["first"], by_id["law@a"]], [{}])
     scores = score_further(subject, nominal)
-    (found,) = _moved(subject, pair, [pair], scores)
-    assert found.effects == ("first", "law@b")
-    assert found.fit.values == pytest.approx({"k": 1.0, "first": 1.0, "b": 1.0}, abs=0.01)
-    assert list(_moved(subject, pair, [pair, replace(found, fit=pair.fit)], scores)) == []  # known to be as good
+    (moved,) = _moved(subject, pair, [pair], scores)
+    assert moved.effects == ("first", "law@b")
+    assert moved.fit.values == pytest.approx({"k": 1.0, "first": 1.0, "b": 1.0}, abs=0.01)
+    assert list(_moved(subject, pair, [pair, replace(moved, fit=pair.fit)], scores)) == []  # known to be as good
 
 
 def test_a_law_that_no_trial_leads_to_is_found_from_the_same_law_at_another_port(monkeypatch):
@@ -114,7 +114,9 @@ def test_a_law_that_no_trial_leads_to_is_found_from_the_same_law_at_another_port
     verdict = diagnose_subject(subject).diagnosis.verdict
     assert (verdict.kind, verdict.effects) == ("effect", ("law@b",))
     # One of the starts has the values of the fit at the other port.
-    assert any(p.get("b") == pytest.approx(0.95, abs=0.02) and p.get("a") == 0.0 for own in starts for p in own)
+    assert any(
+        p.get("b") == pytest.approx(0.95, abs=0.02) and p.get("a") == 0.0 for trials in starts for p in trials
+    )
 
 
 def test_answers_are_refitted_to_the_end(monkeypatch):
@@ -131,17 +133,17 @@ def test_answers_are_refitted_to_the_end(monkeypatch):
     near, nearer, far = map(ended_early, (1.00015, 1.0001, 1.01))
     assert near.fit.cost - good.fit.cost > 5.0
     monkeypatch.setattr("fmuid.diagnosis.diagnose.search", lambda *_, **__: ([far, near, nearer], nearer))
-    found = diagnose_subject(subject)
-    costs = [c.fit.cost for c in found.candidates]
+    diagnosis = diagnose_subject(subject)
+    costs = [c.fit.cost for c in diagnosis.candidates]
     assert sorted(costs)[:2] == pytest.approx([good.fit.cost] * 2, abs=0.5)
     assert max(costs) == far.fit.cost
 
 
 def test_a_law_of_another_shape_is_no_third_cause():
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "like_first": {1: 0.95, 3: 0.31}, "other": {4: 1.0}}
-    found = diagnose_subject(heard(laws, {1: 1.0, 2: 1.0, 3: 0.1}))
-    assert set(found.best.effects) == set(found.diagnosis.verdict.effects) == {"first", "second"}
-    assert found.diagnosis.verdict.rest is not None  # what the shape of the first law leaves
+    diagnosed = diagnose_subject(heard(laws, {1: 1.0, 2: 1.0, 3: 0.1}))
+    assert set(diagnosed.best.effects) == set(diagnosed.diagnosis.verdict.effects) == {"first", "second"}
+    assert diagnosed.diagnosis.verdict.rest is not None  # what the shape of the first law leaves
 
 
 @pytest.mark.parametrize(
@@ -172,8 +174,8 @@ def test_a_gap_that_shows_in_no_effect_is_unknown_without_a_port():
 def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
     difference = 0.02
     laws = {"one": {1: 1.0}, "other": {1: 1.0, 2: 2e-4, -1: difference}}
-    found = diagnose_subject(heard(laws, {1: 1.0}))
-    answer = found.diagnosis.to_dict()
+    diagnosed = diagnose_subject(heard(laws, {1: 1.0}))
+    answer = diagnosed.diagnosis.to_dict()
     assert answer["verdict"]["kind"] == "ambiguous"
     assert answer["next_experiment"] is None
     sensor = answer["added_sensor"]
@@ -181,7 +183,7 @@ def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
     of_a_run = difference * np.array(STRENGTHS) * np.sqrt(TIME.size) / SIGMA
     distance = np.sqrt(5 * np.sum(of_a_run**2))
     assert sensor["separation_sigma"] == pytest.approx(distance / 2 - 1.2816, rel=0.01)  # in nine cases of ten
-    assert "Or add a sensor: second reading" in str(found)
+    assert "Or add a sensor: second reading" in str(diagnosed)
     # One that reads no better is none to add.
     assert diagnose_subject(heard({**laws, "other": {1: 1.0, -1: 1e-4}}, {1: 1.0})).diagnosis.added_sensor is None
 
@@ -189,11 +191,11 @@ def test_a_sensor_is_proposed_that_tells_apart_what_no_further_run_does():
 @pytest.mark.parametrize("told", [{2: 0.0005}, {-1: 0.004}])
 def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch):
     subject = heard({"one": {1: 1.0}, "other": {1: 1.0, **told}}, {1: 1.0})
-    found = diagnose_subject(subject)
-    assert found.diagnosis.verdict.kind == ("ambiguous" if 2 in told else "effect")
-    assert found.diagnosis.equal == (() if 2 in told else ((("one",), ("other",)),))
-    assert (found.diagnosis.next_experiment, found.diagnosis.added_sensor) == (None, None)
-    assert ("fmuid design --for diagnosis searches for a run" in str(found)) is (2 in told)
+    diagnosed = diagnose_subject(subject)
+    assert diagnosed.diagnosis.verdict.kind == ("ambiguous" if 2 in told else "effect")
+    assert diagnosed.diagnosis.equal == (() if 2 in told else ((("one",), ("other",)),))
+    assert (diagnosed.diagnosis.next_experiment, diagnosed.diagnosis.added_sensor) == (None, None)
+    assert ("fmuid design --for diagnosis searches for a run" in str(diagnosed)) is (2 in told)
     if -1 in told:
         monkeypatch.setattr("fmuid.diagnosis.decide.SAME", 2.0)
         monkeypatch.setattr("fmuid.diagnosis.next_experiment.SAME", 2.0)
@@ -221,24 +223,27 @@ def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
 def test_what_leaves_a_rest_at_its_own_place_is_not_named(truth, error, verdict):
     """A gain of the reading closes most of the gap, but one other error of the reading closes all of it."""
     gain, wave = error
-    said = diagnose_subject(
+    given = diagnose_subject(
         misread(plant(truth), lambda v, _: gain * v + wave * np.sin(40.0 * v))
     ).diagnosis.verdict
-    assert (said.kind, said.effects, said.ports)[: len(verdict)] == verdict
-    assert said.rest is None or said.rest.where.endswith("(it enters at reading)")
+    assert (given.kind, given.effects, given.ports)[: len(verdict)] == verdict
+    assert given.rest is None or given.rest.where.endswith("(it enters at reading)")
 
 
 @pytest.mark.parametrize("repeats", [1, 5])
 def test_what_is_not_true_nine_times_in_ten_is_provisional(repeats):
     subject = heard({"first": {1: 1.0}, "second": {2: 1.0}}, {1: 1.0}, repeats=repeats)
     for offset, provisional in ((6.0, False), (-4.0, True)):
-        found = diagnose_subject(subject, calibration=Calibration({"effect": (offset, 1.0)}, 50, "of a test"))
-        assert (found.diagnosis.verdict.kind, found.diagnosis.verdict.provisional) == ("effect", provisional)
-        likeliest = next(a for a in found.diagnosis.answers if a.effects == ("first",))
+        diagnosed = diagnose_subject(subject, calibration=Calibration({"effect": (offset, 1.0)}, 50, "of a test"))
+        assert (diagnosed.diagnosis.verdict.kind, diagnosed.diagnosis.verdict.provisional) == (
+            "effect",
+            provisional,
+        )
+        likeliest = next(a for a in diagnosed.diagnosis.answers if a.effects == ("first",))
         assert (likeliest.probability > 0.9) is (offset > 0.0)
-        assert found.diagnosis.gap.corrected < 0.5
-        assert found.diagnosis.best.effects == found.diagnosis.verdict.effects == ("first",)
-        assert ("Possibly," in str(found)) is provisional  # less likely than not
+        assert diagnosed.diagnosis.gap.corrected < 0.5
+        assert diagnosed.diagnosis.best.effects == diagnosed.diagnosis.verdict.effects == ("first",)
+        assert ("Possibly," in str(diagnosed)) is provisional  # less likely than not
 
 
 def test_laws_of_one_place_that_do_the_same_are_named_once():
@@ -273,7 +278,7 @@ def test_an_effect_is_unknown_if_it_is_far_likelier_than_what_imitates_it():
 
 
 def test_what_a_further_law_at_the_same_place_adds_to_a_nearly_closed_gap_is_the_shape_of_the_first():
-    """Where it acts elsewhere, it is a second cause, however small beside the first."""
+    """Where it acts elsewhere, it is a second cause, however small."""
     laws = {"first": {1: 1.0}, "second": {2: 1.0}}
     truth = {1: 3.0, 2: 0.1}
     for ports, named in (
@@ -322,7 +327,7 @@ def test_a_refit_gets_out_of_a_local_minimum_by_setting_a_parameter_back():
 
 
 class Coarse(Mass):
-    """A solver with an error unless it is told to be careful: away from the start values, or with an effect."""
+    """A solver with an error at loose tolerances: away from the start values, or with an effect."""
 
     default_tolerance = 1e-3
 
@@ -372,7 +377,7 @@ def test_an_effect_at_implausible_bounds_does_not_take_another_one_with_it():
     verdict = diagnose_subject(replace(subject, effects=(first, short))).diagnosis.verdict
     assert (verdict.kind, verdict.effects) == ("effect", ("first",))
     assert verdict.rest is not None
-    # An effect that does the same stays open, too.
+    # An equivalent effect also stays open.
     subject = heard({"first": {1: 1.0}, "twin": {1: 1.0, 2: 5e-4}, "second": {2: 1.0}}, {1: 3.0, 2: 0.3})
     verdict = diagnose_subject(replace(subject, effects=(*subject.effects[:2], short))).diagnosis.verdict
     assert (verdict.kind, set(verdict.one_of)) == ("ambiguous", {("first",), ("twin",)})

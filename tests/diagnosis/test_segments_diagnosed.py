@@ -127,15 +127,15 @@ def held(tmp_path_factory):
 
 def recorded(held, folder, *, coulomb=0.0, seed=0, stage='segments = "auto"'):
     """A campaign of two runs to identify with and one for validation."""
-    found = {}
+    runs = {}
     for k, name in enumerate(("first", "second", "last")):
         time, torque, angle = balanced(100 * seed + k, coulomb)
         signals = {
             "tau": Signal("tau", torque, "N.m", "input"),
             "phi": Signal("phi", angle, "rad", "output", sigma=1e-3),
         }
-        found[name] = Experiment(name, "plant", time, signals)
-    write_measurements(Measurements(found), folder / "measurements.h5")
+        runs[name] = Experiment(name, "plant", time, signals)
+    write_measurements(Measurements(runs), folder / "measurements.h5")
     (folder / "effects.toml").write_text(EFFECTS)
     (folder / "Held.fmu").write_bytes((held / "Held.fmu").read_bytes())
     (folder / "campaign.toml").write_text(CAMPAIGN.replace('segments = "auto"', stage))
@@ -143,22 +143,22 @@ def recorded(held, folder, *, coulomb=0.0, seed=0, stage='segments = "auto"'):
 
 
 def test_a_complete_model_of_a_plant_that_runs_away_is_called_complete(held, tmp_path):
-    found = fmuid.diagnose(recorded(held, tmp_path))
-    answer = found.diagnosis
+    diagnosed = fmuid.diagnose(recorded(held, tmp_path))
+    answer = diagnosed.diagnosis
     assert answer.verdict.kind == "complete"
     assert answer.gap.p_value > 0.01
     assert answer.model == pytest.approx({"J": J, "mgl": MGL, "d": D}, rel=0.05)
     assert "Runs of setup 'plant' are predicted in 20 segments, whose 40 initial states are fitted as well." in (
         answer.notes
     )
-    # As much is left as noise leaves beside the parameters and the states.
-    fit, observed = found.nominal.fit, found.subject.observed
+    # The rest is that of noise after a fit of parameters and states.
+    fit, observed = diagnosed.nominal.fit, diagnosed.subject.observed
     free = sum(float(np.sum(1.0 - t)) for t in observed.taken)
     assert free == pytest.approx(2 * 800 - 40, abs=1e-6)
     assert sum(float(r @ r) for r in fit.residuals) / free == pytest.approx(1.0, abs=0.1)
     campaign = fmuid.load_campaign(tmp_path)
     with pytest.raises(CampaignError, match="cut into segments"):
-        design_for_diagnosis(campaign, found.subject, [])
+        design_for_diagnosis(campaign, diagnosed.subject, [])
     with pytest.raises(CampaignError, match="cut into segments"):
         fmuid.diagnose(campaign, rehearse=1)
 

@@ -117,8 +117,8 @@ def test_the_source_of_a_corrected_model_has_tables_as_blocks_of_the_standard_li
 def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(tmp_path):
     """Without repeats, a loss is named provisionally, and the table refines it."""
     answer, out = diagnosed(tmp_path, lambda value, wind: window(value))
-    (found,) = answer["refinements"]
-    assert found["id"].endswith("@T.balance(temperature)")
+    (table,) = answer["refinements"]
+    assert table["id"].endswith("@T.balance(temperature)")
     assert answer["verdict"]["provisional"]
     assert answer["best"]["closure"]["held_out"] > 0.7
     assert answer["best"]["closure"]["interval"][0] > 0.0
@@ -138,8 +138,8 @@ def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path):
     assert answer["corrected_differs"] < 0.05
     (axis,) = learned["table"]["axes"]
     at = np.linspace(296.0, 316.0, 21)
-    found = np.interp(at, axis["knots"], learned["table"]["values"])
-    assert np.abs(found - window(at)).max() < 12.0
+    learned_values = np.interp(at, axis["knots"], learned["table"]["values"])
+    assert np.abs(learned_values - window(at)).max() < 12.0
     assert (
         "A table learned at T.balance over temperature predicts it, which is no law" in answer["verdict"]["text"]
     )

@@ -60,16 +60,16 @@ def campaign(tmp_path_factory):
 
 
 def test_slow_noise_within_the_tolerance_is_a_complete_model(campaign):
-    found = fmuid.diagnose(campaign, law=False, tolerance={"T": "60 mK"})
-    answer = found.diagnosis.to_dict()
+    diagnosed = fmuid.diagnose(campaign, law=False, tolerance={"T": "60 mK"})
+    answer = diagnosed.diagnosis.to_dict()
     assert (answer["verdict"]["kind"], answer["verdict"]["within_tolerance"]) == ("complete", True)
     (error,) = answer["tolerated"]
     assert (error["signal"], error["unit"], error["tolerance"]) == ("T", "K", pytest.approx(0.06))
     assert 0.5 * SIGMA < error["error"] < 0.06
     none = next(a for a in answer["answers"] if a["effects"] == ["none"])
     assert none["probability"] == pytest.approx(error["probability"])
-    assert "Complete to within the tolerance" in str(found)
-    assert "K beyond the noise (0.06 K tolerated)" in str(found)
+    assert "Complete to within the tolerance" in str(diagnosed)
+    assert "K beyond the noise (0.06 K tolerated)" in str(diagnosed)
 
 
 def test_a_smaller_tolerance_is_exceeded(campaign):

@@ -26,8 +26,8 @@ def test_effects_of_a_recorded_signal_have_its_units():
     time = np.arange(50) * 0.1
     runs = [Experiment("run", "bench", time, {"F": Signal("F", np.sin(time), "N", "output")})]
     spec = ModelSpec("bench", Path("bench.fmu"))
-    found = units(signal_catalogue([RecordedSetup(runs, spec, {"F": Variable("F", "output", unit="N")})]))
-    assert found == {
+    units_of = units(signal_catalogue([RecordedSetup(runs, spec, {"F": Variable("F", "output", unit="N")})]))
+    assert units_of == {
         "gain": ["1"],
         "offset": ["N"],
         "lag": ["s"],
@@ -41,8 +41,8 @@ def test_effects_of_a_recorded_signal_have_its_units():
 def test_laws_at_a_signal_of_the_model_have_its_units():
     quantities = {"p": variable("F"), "rate": variable("dF")}
     place = Place(Port("F", "signal", "signal", ("a.y",), ("N", "1"), quantities), dict.fromkeys(SIZES, 1.0))
-    found = {n: units("\n".join(effect_lines(n, law, place)))[n] for n, law in fitting(place)}
-    assert found["gain"] == ["1"]
-    assert found["offset"] == found["dead_zone"] == found["play"] == ["N"]
-    assert found["rate_limit"] == ["s/(N)"]
-    assert found["saturation"] == ["1/(N)", "1"]
+    units_of = {n: units("\n".join(effect_lines(n, law, place)))[n] for n, law in fitting(place)}
+    assert units_of["gain"] == ["1"]
+    assert units_of["offset"] == units_of["dead_zone"] == units_of["play"] == ["N"]
+    assert units_of["rate_limit"] == ["s/(N)"]
+    assert units_of["saturation"] == ["1/(N)", "1"]

@@ -40,8 +40,8 @@ def logs(folder, conductance, seed=1):
         for k in range(SAMPLES):
             temperature[k] = value
             for _ in range(10):
-                own = conductance(value, wind[k], time[k])
-                value += STEP / 10 * (power[k] - own * (value - outdoors[k])) / 2e4
+                loss = conductance(value, wind[k], time[k])
+                value += STEP / 10 * (power[k] - loss * (value - outdoors[k])) / 2e4
         seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
         gust = wind + 0.5 * rng.standard_normal(SAMPLES)  # a worse anemometer
         rows = np.column_stack([time, power, outdoors, wind, gust, seen])
@@ -58,11 +58,11 @@ def campaign(tmp_path, conductance):
 
 
 def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path):
-    found = fmuid.diagnose(
+    diagnosed = fmuid.diagnose(
         campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.05 * wind)), out=tmp_path / "out"
     )
-    assert found.corrected.effects == ("varies@G(wind)",)
-    size = found.corrected.fit.values["G.varies.wind"]
+    assert diagnosed.corrected.effects == ("varies@G(wind)",)
+    size = diagnosed.corrected.fit.values["G.varies.wind"]
     assert size == pytest.approx(0.05, rel=0.1)
     page = (tmp_path / "out" / "diagnosis.json").read_text()
     assert "G grows with wind: +" in page
@@ -97,9 +97,9 @@ def test_a_shape_that_another_size_would_change_is_judged_at_the_size_that_fits(
 @pytest.mark.parametrize("law", ["loss", "radiation"])
 def test_the_surroundings_of_a_loss_need_not_be_at_the_start_temperature(tmp_path, law):
     effects = every_law(load(RIGS, "Rigs.Block"), tmp_path).effects
-    found = [e for e in effects.values() if e.id.startswith(f"{law}@")]
-    assert found
-    for effect in found:
+    variants = [e for e in effects.values() if e.id.startswith(f"{law}@")]
+    assert variants
+    for effect in variants:
         (name,) = effect.shapes
         assert name.endswith("_surroundings")
         assert name in effect.expression

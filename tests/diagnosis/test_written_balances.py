@@ -69,16 +69,16 @@ def test_balances_loops_and_differences_are_ports(name, kinds):
 
 
 def test_the_laws_there_are_those_of_their_domains():
-    found = {name: possible_laws(flat(name)) for name in INPUTS}
-    assert {"coulomb", "cogging", "imbalance", "inertia"} <= {*found["Shaft"]["wl.balance"]}
-    assert {"backlash", "hardening", "hysteresis"} <= {*found["Shaft"]["wl.w"]}
-    assert {*found["Loudspeaker"]["i.balance"]} == {"resistance", "voltage_drop", "eddy"}
-    assert {*found["Loudspeaker"]["x.ground"]} == {"hardening", "hysteresis"}
-    assert {*found["Tanks"]["h1.balance"]} == {"leakage", "outflow", "overflow", "capacity"}
-    assert {*found["Oven"]["T.balance"]} == {"loss", "radiation", "capacity"}
-    assert {*found["Oven"]["T.Tw"]} == {"heat_bridge"}
-    assert {"coulomb", "quadratic", "weight"} <= {*found["Plain"]["v.balance"]}
-    without_position = {*found["Filtered"]["v.balance"]}
+    laws = {name: possible_laws(flat(name)) for name in INPUTS}
+    assert {"coulomb", "cogging", "imbalance", "inertia"} <= {*laws["Shaft"]["wl.balance"]}
+    assert {"backlash", "hardening", "hysteresis"} <= {*laws["Shaft"]["wl.w"]}
+    assert {*laws["Loudspeaker"]["i.balance"]} == {"resistance", "voltage_drop", "eddy"}
+    assert {*laws["Loudspeaker"]["x.ground"]} == {"hardening", "hysteresis"}
+    assert {*laws["Tanks"]["h1.balance"]} == {"leakage", "outflow", "overflow", "capacity"}
+    assert {*laws["Oven"]["T.balance"]} == {"loss", "radiation", "capacity"}
+    assert {*laws["Oven"]["T.Tw"]} == {"heat_bridge"}
+    assert {"coulomb", "quadratic", "weight"} <= {*laws["Plain"]["v.balance"]}
+    without_position = {*laws["Filtered"]["v.balance"]}
     assert {"coulomb", "weight", "inertia"} <= without_position
     assert "hardening" not in without_position
 
@@ -171,15 +171,15 @@ def shaft(law, tau, step, fine=20):
         torque = k * twist + c * rate + inner
         return np.array([w, wl, (u - dm * w - torque / n) / Jm, (torque - dl * wl + at_load) / Jl])
 
-    x, found, h = np.zeros(4), [np.zeros(4)], step / fine
+    x, states, h = np.zeros(4), [np.zeros(4)], step / fine
     for u in tau[:-1]:
         for _ in range(fine):
             a = slope(x, u)
             b = slope(x + h / 2 * a, u)
             d = slope(x + h / 2 * b, u)
             x = x + h / 6 * (a + 2 * b + 2 * d + slope(x + h * d, u))
-        found.append(x)
-    return np.array(found)[:, 2:]
+        states.append(x)
+    return np.array(states)[:, 2:]
 
 
 @pytest.mark.parametrize(

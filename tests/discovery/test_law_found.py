@@ -48,21 +48,21 @@ def diagnosed(extras, folder, *, rig=BLOCK, effect=None, repeats=2, seed=5):
 def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_path, capsys):
     law = Extra("body", lambda values, *_: 4.0 * np.tanh(values["p"] / 20.0))
     answer, out = diagnosed(dict.fromkeys(BLOCK.inputs, law), tmp_path)
-    said = capsys.readouterr().out
-    found = answer["law_found"]
+    output = capsys.readouterr().out
+    equation = answer["law_found"]
     assert answer["verdict"]["kind"] == "unknown"
-    assert found["port"] == "body"
-    assert found["modelica"] == "body.law_size*tanh((p - 293.15)/body.law_width)"
-    assert found["parameters"]["body.law_size"]["value"] == pytest.approx(4.0, rel=0.02)
-    assert found["parameters"]["body.law_width"]["value"] == pytest.approx(20.0, rel=0.02)
-    assert found["closure"]["held_out"] > 0.95
-    assert found["p_value"] > 0.01
-    assert np.interp(313.15, found["curve"]["x"], found["curve"]["y"]) == pytest.approx(
+    assert equation["port"] == "body"
+    assert equation["modelica"] == "body.law_size*tanh((p - 293.15)/body.law_width)"
+    assert equation["parameters"]["body.law_size"]["value"] == pytest.approx(4.0, rel=0.02)
+    assert equation["parameters"]["body.law_width"]["value"] == pytest.approx(20.0, rel=0.02)
+    assert equation["closure"]["held_out"] > 0.95
+    assert equation["p_value"] > 0.01
+    assert np.interp(313.15, equation["curve"]["x"], equation["curve"]["y"]) == pytest.approx(
         4.0 * np.tanh(1.0), rel=0.02
     )
-    assert "Law found at body: a flow of " in said
+    assert "Law found at body: a flow of " in output
 
-    # The model with it explains a run that was kept back, and goes on.
+    # The model with it explains a run that was held out, and goes on.
     validated, again = tmp_path / "v.json", tmp_path / "again"
     assert (
         run(["validate", str(out / "diagnosis.json"), "--json", str(validated), "--workers", "0", "--quiet"]) == 0
@@ -78,12 +78,12 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
 def test_a_law_may_stand_beside_an_effect_that_explains_a_part(tmp_path):
     law = Extra("wall", lambda values, *_: 1.5 * np.tanh(values["p"] / 8.0))
     answer, _ = diagnosed(dict.fromkeys(BLOCK.inputs, law), tmp_path, effect={"radiation": 1.2e-8}, repeats=3)
-    found = answer["law_found"]
+    equation = answer["law_found"]
     assert answer["verdict"]["kind"] == "partial"
-    assert found["beside"] == ["radiation@casing"]
-    assert found["modelica"] == "wall.law_size*tanh(p/wall.law_width)"
-    assert found["parameters"]["wall.law_size"]["value"] == pytest.approx(1.5, rel=0.02)
-    assert found["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
+    assert equation["beside"] == ["radiation@casing"]
+    assert equation["modelica"] == "wall.law_size*tanh(p/wall.law_width)"
+    assert equation["parameters"]["wall.law_size"]["value"] == pytest.approx(1.5, rel=0.02)
+    assert equation["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def line_of_lags(cells, lag):
 
     def rates(values, state, _):
         before = [values["p"] / 55.0, *state]
-        return [(b - own) * cells / lag for b, own in zip(before, state, strict=False)]
+        return [(b - level) * cells / lag for b, level in zip(before, state, strict=False)]
 
     return Extra("casing", lambda _, state, __: 5.0 * state[-1], rates, [0.0] * cells)
 
@@ -162,8 +162,8 @@ def test_a_loss_that_grows_from_run_to_run_is_a_law_of_time(tmp_path):
         paths.append(tmp_path / f"day_{day}.csv")
         np.savetxt(paths[-1], rows, "%.6f", ",", header="time,P [W],T_out [K],T [K]", comments="")
     (tmp_path / "Room.mo").write_text(ROOM)
-    found = fmuid.diagnose(fmuid.start(paths, model=tmp_path / "Room.mo", out=tmp_path / "room"), workers=0)
-    law = found.diagnosis.law_found
+    diagnosed = fmuid.diagnose(fmuid.start(paths, model=tmp_path / "Room.mo", out=tmp_path / "room"), workers=0)
+    law = diagnosed.diagnosis.law_found
     assert law is not None
     assert law.port == "T.balance"
     size, scale = law.formula.partition(" W * (time/")[::2]

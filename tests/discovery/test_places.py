@@ -24,27 +24,27 @@ def place(fmu: Fmu, name: str, inputs: Mapping[str, np.ndarray], output: str) ->
     task = Task(TIME, inputs, (output,))
     case = measured_case("run", fmu, task, {output: fmu.simulate(task, {})[0]}, sigma={output: 1e-3})
     case = replace(case, columns={COLUMN: ("W", np.cos(9 * TIME))})
-    found = spot(name, fmu, CampaignModel((case,)), {})
-    assert found is not None
-    return found
+    here = spot(name, fmu, CampaignModel((case,)), {})
+    assert here is not None
+    return here
 
 
 def test_what_acts_at_the_derivative_of_a_current_is_a_voltage_over_the_inductance(tmp_path: Path) -> None:
     fmu, v_in = Fmu(plant_fmu("CIRCUIT", tmp_path), "model exchange"), 5 * np.sign(np.sin(40 * TIME))
-    found = place(fmu, "der(i)", {"v_in": v_in}, "v")
+    here = place(fmu, "der(i)", {"v_in": v_in}, "v")
     (slope,) = fmu.simulate(Task(TIME, {"v_in": v_in}, ("der(i)",)), {})
-    assert found.unit == "A.s-1"
-    assert found.flow == pytest.approx(np.abs(slope).max())
-    assert [q.name for q in found.quantities] == ["i", "v_in", "v", COLUMN]
+    assert here.unit == "A.s-1"
+    assert here.flow == pytest.approx(np.abs(slope).max())
+    assert [q.name for q in here.quantities] == ["i", "v_in", "v", COLUMN]
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_laws_use_what_can_be_written_in_them(tmp_path: Path, fmi: int) -> None:
     """The derivatives are variables called der(x) and der(v)."""
     fmu = Fmu(make_oscillator(tmp_path, fmi, ("ModelExchange",)), "model exchange")
-    found = place(fmu, "der(v)", {"u": 5 * np.sin(40 * TIME)}, "y")
-    assert (found.unit, found.nearby) == ("m.s-2", ("v", "x", "u"))
-    assert {q.name for q in found.quantities} == {"v", "x", "u", COLUMN}
-    over = {term.over.name for term in found.terms}
+    here = place(fmu, "der(v)", {"u": 5 * np.sin(40 * TIME)}, "y")
+    assert (here.unit, here.nearby) == ("m.s-2", ("v", "x", "u"))
+    assert {q.name for q in here.quantities} == {"v", "x", "u", COLUMN}
+    over = {term.over.name for term in here.terms}
     assert over == {"v", "x", "u", COLUMN, "time"}
-    assert all(np.isfinite(term.whole_course(found.courses, found.time)).all() for term in found.terms)
+    assert all(np.isfinite(term.whole_course(here.courses, here.time)).all() for term in here.terms)

@@ -47,10 +47,10 @@ def test_a_law_depends_only_on_what_every_run_has():
     """A free shaft has no input for the load's speed, which a controlled one has."""
     flat = load(RIGS, "Rigs.TwoMass")
     port = next(p for p in find_ports(flat) if p.name == "rotor")
-    own = dict.fromkeys(n for names in port.probes.values() for n in names)
+    probed = dict.fromkeys(n for names in port.probes.values() for n in names)
 
     def case(**inputs):
-        variables = dict.fromkeys([*own, *inputs], SimpleNamespace(unit="1"))
+        variables = dict.fromkeys([*probed, *inputs], SimpleNamespace(unit="1"))
         return SimpleNamespace(
             time=TIME,
             lead=0,
@@ -61,20 +61,20 @@ def test_a_law_depends_only_on_what_every_run_has():
         )
 
     cases = case(tau=RATES[0]), case(tau=RATES[1], w_ref=RATES[1])
-    rows = [np.stack([np.roll(rate, 50 * k) for k in range(len(own))]) for rate in RATES]
+    rows = [np.stack([np.roll(rate, 50 * k) for k in range(len(probed))]) for rate in RATES]
     model = SimpleNamespace(cases=cases, trajectories=lambda _, names: [r[: len(names)] for r in rows])
     for order in (slice(None), slice(None, None, -1)):
         model.cases = cases[order]
-        found = places.spot("rotor", flat, model, {})
-        assert {*found.nearby} == {"p", "rate", "load", "tau"}
-        assert all(found.courses[0].keys() == c.keys() >= {*found.nearby, "time"} for c in found.courses)
-        assert "w_ref" not in found.courses[0]
-        assert len(instead(found, [np.abs(c["rate"]) for c in found.courses])) > 1
+        rotor = places.spot("rotor", flat, model, {})
+        assert {*rotor.nearby} == {"p", "rate", "load", "tau"}
+        assert all(rotor.courses[0].keys() == c.keys() >= {*rotor.nearby, "time"} for c in rotor.courses)
+        assert "w_ref" not in rotor.courses[0]
+        assert len(instead(rotor, [np.abs(c["rate"]) for c in rotor.courses])) > 1
 
 
 def test_a_law_may_depend_on_neighbours_outputs_columns_and_time():
     flat = load(RIGS, "Rigs.TwoMass")
-    names = [n for p in find_ports(flat) for own in p.probes.values() for n in own]
+    names = [n for p in find_ports(flat) for probed in p.probes.values() for n in probed]
     wind = 5.0 + np.sin(3.0 * TIME)
     courses = {n: np.sin((k + 1.3) * TIME) for k, n in enumerate(dict.fromkeys([*names, "w_load"]))}
     case = SimpleNamespace(
@@ -86,15 +86,15 @@ def test_a_law_may_depend_on_neighbours_outputs_columns_and_time():
         columns={"logged.wind": ("m/s", wind)},
     )
     model = SimpleNamespace(cases=(case,), trajectories=lambda _, wanted: [np.stack([courses[n] for n in wanted])])
-    found = places.spot("rotor", flat, model, {})
-    used = {name for term in found.terms for name in names_in(term.text) if "rate" in names_in(term.text)}
+    rotor = places.spot("rotor", flat, model, {})
+    used = {name for term in rotor.terms for name in names_in(term.text) if "rate" in names_in(term.text)}
     assert {"time", "logged.wind", "w_load"} < used
     assert any(
-        "time" in t.text and "100" in t.text for t in found.terms
+        "time" in t.text and "100" in t.text for t in rotor.terms
     )  # since the first sample of the first run
-    wind_law = Law(found, tuple(t for t in found.terms if "logged.wind" in t.text)[:1], "rotor.law")
+    wind_law = Law(rotor, tuple(t for t in rotor.terms if "logged.wind" in t.text)[:1], "rotor.law")
     assert wind_law.effect("law@rotor", "").inputs == {"logged.wind": "m/s"}
-    squares = [t.text for t in found.terms if "^2*" in t.text or "*abs(" in t.text]
+    squares = [t.text for t in rotor.terms if "^2*" in t.text or "*abs(" in t.text]
     assert any("logged.wind" in text for text in squares)
 
 

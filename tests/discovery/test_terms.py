@@ -35,9 +35,9 @@ def law(*parts):
 
 
 def test_every_term_is_finite_and_no_larger_than_about_one_along_its_courses():
-    found = terms()
-    assert len(found) > 200
-    for term in found:
+    library_terms = terms()
+    assert len(library_terms) > 200
+    for term in library_terms:
         course = term.course(COURSES, TIME)
         assert np.isfinite(course).all(), term
         assert 0.001 < np.abs(course).max() < 1.6, term
@@ -65,9 +65,9 @@ def test_a_hidden_state_follows_what_heats_it():
 
 def test_terms_can_be_put_into_a_model():
     flat = load(RIGS, "Rigs.TwoMass")
-    found = library([SPEED, ANGLE], [], [TIME])
-    own = {t.family: t for t in found}
-    laws = [Law(law(t).spot, (t,), f"rotor.law{k}") for k, t in enumerate([*own.values()][::4])]
+    library_terms = library([SPEED, ANGLE], [], [TIME])
+    by_family = {t.family: t for t in library_terms}
+    laws = [Law(law(t).spot, (t,), f"rotor.law{k}") for k, t in enumerate([*by_family.values()][::4])]
     terms = [Term("rotor", "flow", one.expression, str(k), one.states) for k, one in enumerate(laws)]
     added = [Added(u.name, u.start) for one in laws for u in one.effect("a", "b").unknowns]
     assert compile_flat(instrument(flat, terms, added))

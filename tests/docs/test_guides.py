@@ -53,7 +53,7 @@ SLOW = {
     "runaway",
     "sensitivity",
     "three-rigs",
-}  # identify, diagnose or build once more
+}  # identify, diagnose or build again
 BLOCK = re.compile(r"(?:^<!-- file: (\S+) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MAKE = f'make() {{ command make --dry-run --directory "{ROOT}" "$@" > /dev/null; }}\n'
 

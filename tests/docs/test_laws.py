@@ -28,7 +28,7 @@ def test_the_page_has_every_law() -> None:
     if os.environ.get("FMUID_WRITE_LAWS"):
         PAGE.write_text(_TABLE.sub(lambda _: table(), text))
         text = PAGE.read_text()
-    (found,) = _TABLE.findall(text)
-    assert found == table()
+    (rows,) = _TABLE.findall(text)
+    assert rows == table()
     named = set(re.findall(r"`([a-z_]+)`", text.partition("## All laws")[0]))
     assert named - {"value"} <= {*laws(), "delay", "crosstalk"}

@@ -126,21 +126,21 @@ def damaged(text: str) -> st.SearchStrategy[str]:
     )
 
     def edited(edits: list[tuple[int, str, str, int]]) -> str:
-        found = list(words)
+        changed = list(words)
         for at, how, word, length in edits:
-            at = min(at, len(found))
+            at = min(at, len(changed))
             match how:
                 case "replace":
-                    found[at : at + 1] = [word]
+                    changed[at : at + 1] = [word]
                 case "insert":
-                    found.insert(at, word)
+                    changed.insert(at, word)
                 case "drop":
-                    del found[at : at + length]
+                    del changed[at : at + length]
                 case "repeat":
-                    found[at:at] = found[at : at + length]
+                    changed[at:at] = changed[at : at + length]
                 case "cut":
-                    found[at:] = found[at:] if length > 3 else []
-        return "".join(found)
+                    changed[at:] = changed[at:] if length > 3 else []
+        return "".join(changed)
 
     return st.lists(edit, min_size=1, max_size=6).map(edited)
 

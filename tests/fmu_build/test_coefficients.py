@@ -82,8 +82,8 @@ def test_a_coefficient_may_have_a_memory():
     model = flat("TwoMass")
     state = State("warmth", "(load.w^2 - warmth)/7")
     terms, added = varying("shaft.d", "p*(1 + size*warmth)", states=(state,))
-    found = derivatives(instrument(model, terms, added), {"load.w": 3.0, "warmth": 2.0})
-    assert found["warmth"] == pytest.approx(1.0)
+    slopes = derivatives(instrument(model, terms, added), {"load.w": 3.0, "warmth": 2.0})
+    assert slopes["warmth"] == pytest.approx(1.0)
 
 
 def test_what_is_no_coefficient_is_refused():
@@ -110,9 +110,9 @@ def test_a_parameter_may_vary_in_one_of_its_equations(tmp_path):
     model = load(file, "Motor")
     assert [c.name for c in coefficients(model)] == ["K", "K:i", "K:w"]
     changed = instrument(model, *varying("K:w", "p*(1 + size*i)", size=0.5))
-    found = derivatives(changed, {"i": 4.0, "w": 3.0})
-    assert found == {"i": pytest.approx(1.0 - 4.0 - 2.0 * 3.0), "w": pytest.approx(2.0 * 3.0 * 4.0 - 3.0)}
+    slopes = derivatives(changed, {"i": 4.0, "w": 3.0})
+    assert slopes == {"i": pytest.approx(1.0 - 4.0 - 2.0 * 3.0), "w": pytest.approx(2.0 * 3.0 * 4.0 - 3.0)}
     both, added = varying("K:w", "p*(1 + size*i)", size=0.5)
     both += [Term("K", "parameter", "3*p")]
-    found = derivatives(instrument(model, both, added), {"i": 4.0, "w": 3.0})
-    assert found == {"i": pytest.approx(1.0 - 4.0 - 6.0 * 3.0), "w": pytest.approx(6.0 * 3.0 * 4.0 - 3.0)}
+    slopes = derivatives(instrument(model, both, added), {"i": 4.0, "w": 3.0})
+    assert slopes == {"i": pytest.approx(1.0 - 4.0 - 6.0 * 3.0), "w": pytest.approx(6.0 * 3.0 * 4.0 - 3.0)}

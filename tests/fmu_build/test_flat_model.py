@@ -1,4 +1,4 @@
-"""The flat model as a value: where equations come from, and a changed model beside the plain one."""
+"""The flat model as a value: where equations come from, and a changed and a plain model."""
 
 from __future__ import annotations
 

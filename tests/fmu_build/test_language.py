@@ -213,14 +213,14 @@ end Loops;
     vectors = {name: find(model, name).location.vector for name in ("limit", "x", "t[1,1]", "c")}
     assert vectors == {"limit": "p", "x": "p", "t[1,1]": "p", "c": "constant"}
 
-    def found(**values: float) -> list[float]:
+    def outputs(**values: float) -> list[float]:
         instance = Instance.of(model, {name.replace("_", ","): v for name, v in values.items()})
         return [instance.get(name, 0.0, NOTHING, [8.0]) for name in ("y", "i", "square", "same")]
 
-    assert found(limit=5.0, x=3.5) == pytest.approx([4.0, 4.0, 2.0, 0.0])
-    assert found(**{"t[2_3]": 7.0}) == pytest.approx([2.0, 3.0, 2.0, 1.0])
+    assert outputs(limit=5.0, x=3.5) == pytest.approx([4.0, 4.0, 2.0, 0.0])
+    assert outputs(**{"t[2_3]": 7.0}) == pytest.approx([2.0, 3.0, 2.0, 1.0])
     for element in ("t[1_1]", "t[1_3]", "t[2_1]", "t[2_2]"):
-        assert found(**{"t[2_3]": 7.0, element: 0.0})[-1] == 0.0
+        assert outputs(**{"t[2_3]": 7.0, element: 0.0})[-1] == 0.0
 
 
 @pytest.mark.parametrize(

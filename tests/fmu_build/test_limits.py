@@ -50,13 +50,13 @@ def simulate(tmp_path_factory):
 @pytest.mark.parametrize("limit", LIMITS)
 def test_a_schmitt_trigger_jumps_where_its_branch_ends(simulate, limit, kind):
     text = SCHMITT.format(start="(start = 1)") + LIMITS[limit]
-    found = simulate(text, ["u", "y"], fmi_type=kind)
+    simulated = simulate(text, ["u", "y"], fmi_type=kind)
     expected, branch = [], 1.0
-    for u in 2 * np.sin(2 * np.pi * found["time"]):
+    for u in 2 * np.sin(2 * np.pi * simulated["time"]):
         branch = -1.0 if u > 0.5 - 1 / GAIN else 1.0 if u < -0.5 + 1 / GAIN else branch
         expected.append(branch)
-    away = np.abs(np.abs(found["u"]) - 0.5) > 0.01
-    np.testing.assert_allclose(found["y"][away], np.array(expected)[away], atol=1e-6)
+    away = np.abs(np.abs(simulated["u"]) - 0.5) > 0.01
+    np.testing.assert_allclose(simulated["y"][away], np.array(expected)[away], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -65,18 +65,18 @@ def test_a_schmitt_trigger_jumps_where_its_branch_ends(simulate, limit, kind):
 @pytest.mark.parametrize("limit", LIMITS)
 def test_a_multivibrator_has_its_period_whatever_the_solver(simulate, limit, tolerance, kind):
     text = ASTABLE.format(start="(start = 1)") + LIMITS[limit]
-    found = simulate(text, ["x", "y"], fmi_type=kind, relative_tolerance=tolerance, stop_time=10.0)
+    simulated = simulate(text, ["x", "y"], fmi_type=kind, relative_tolerance=tolerance, stop_time=10.0)
     edge = 0.5 - 1 / GAIN
-    falls = found["time"][1:][np.diff(found["y"]) < -1.9]
+    falls = simulated["time"][1:][np.diff(simulated["y"]) < -1.9]
     assert np.diff(falls) == pytest.approx(2 * np.log((1 + edge) / (1 - edge)), abs=0.0201)
-    assert np.abs(found["x"]).max() == pytest.approx(edge, abs=2e-3)
+    assert np.abs(simulated["x"]).max() == pytest.approx(edge, abs=2e-3)
 
 
 @pytest.mark.parametrize(("start", "first"), [("(start = 1)", 1.0), ("(start = -1)", -1.0)])
 @pytest.mark.parametrize("limit", [LIMITS["plain"], "y = if e > 0 then 1 else -1;"])
 def test_a_start_value_chooses_the_first_solution(simulate, start, first, limit):
-    found = simulate(SCHMITT.format(start=start) + limit, ["y"])
-    assert found["y"][0] == first
+    simulated = simulate(SCHMITT.format(start=start) + limit, ["y"])
+    assert simulated["y"][0] == first
 
 
 def test_homotopy_chooses_the_first_solution_and_nothing_is_told(simulate, tmp_path):
@@ -95,14 +95,14 @@ def test_initial_equations_are_solved_past_a_point_where_they_are_singular(simul
         "Real x(start = 10); Real y(start = 10); initial equation der(x) = 0; der(y) = 0; "
         "equation der(x) = x*(0.1 - 0.02*y); der(y) = y*(0.01*x - 0.3);"
     )
-    found = simulate(text, ["x", "y"], stop_time=0.1)[0]
-    assert (found["x"], found["y"]) == pytest.approx((30.0, 5.0), rel=1e-9)
+    simulated = simulate(text, ["x", "y"], stop_time=0.1)[0]
+    assert (simulated["x"], simulated["y"]) == pytest.approx((30.0, 5.0), rel=1e-9)
 
 
 def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(simulate, capfd):
     text = "Real x(start = 1.2, fixed = true); equation der(x) = if x >= 1 then -1 else 1;"
-    found = simulate(text, ["x"], stop_time=0.5, relative_tolerance=1e-4)
-    np.testing.assert_allclose(found["x"], np.maximum(1.2 - found["time"], 1), atol=2e-4)
+    simulated = simulate(text, ["x"], stop_time=0.5, relative_tolerance=1e-4)
+    np.testing.assert_allclose(simulated["x"], np.maximum(1.2 - simulated["time"], 1), atol=2e-4)
     # Not by a logger of its own: FMPy goes on calling the last one, which may be gone by then.
     assert capfd.readouterr().out.count("chattering") == 1
 

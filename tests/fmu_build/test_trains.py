@@ -164,16 +164,16 @@ def test_a_pendulum_in_cartesian_coordinates_passes_every_position(tmp_path):
     assert states(compiled("Sticks")) == ["phi", "w"]
     assert states(compiled("Chosen")) == ["x", "vx"]
     time = np.linspace(0.0, 10.0, 501)
-    found = {}
+    motions = {}
     for name in ("Cartesian", "Sticks"):
         fmu = Fmu(build(TRAINS, f"Trains.{name}", tmp_path))
-        found[name] = np.array(fmu.simulate(Task(time, {}, ("x", "y")), {}))
-    x, y = found["Cartesian"]
+        motions[name] = np.array(fmu.simulate(Task(time, {}, ("x", "y")), {}))
+    x, y = motions["Cartesian"]
     assert y.max() > 0.5
     assert x.max() > 0.99
     assert x.min() < -0.99
     np.testing.assert_allclose(np.hypot(x, y), 1.0, atol=1e-6)
-    np.testing.assert_allclose(found["Cartesian"], found["Sticks"], atol=1e-3)
+    np.testing.assert_allclose(motions["Cartesian"], motions["Sticks"], atol=1e-3)
 
 
 def test_reinit_of_what_a_constraint_ties_to_other_states_is_refused(tmp_path):

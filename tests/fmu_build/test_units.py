@@ -1,4 +1,4 @@
-"""Units of a model's equations: what differs is told with its line, what cannot be known is not."""
+"""Units of a model's equations: differences are reported with their line, unknown units are not."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ def test_units_that_differ_are_told_with_their_line(tmp_path, equation):
     ],
 )
 def test_declarations_and_when_clauses_are_looked_at(tmp_path, more, units):
-    (found,) = findings(tmp_path, "m*der(v) = F;", more)
-    assert found.endswith(f"the units differ: {' and '.join(units)}")
+    (finding,) = findings(tmp_path, "m*der(v) = F;", more)
+    assert finding.endswith(f"the units differ: {' and '.join(units)}")
 
 
 @pytest.mark.parametrize("value", ["1/50", "-2*3", "380e3*sqrt(2/3)", "max(1, 2)^2"])
@@ -112,8 +112,8 @@ def test_a_value_made_of_literals_has_the_unit_of_what_it_is_given_to(tmp_path, 
 
 
 def test_a_factor_made_of_whole_literals_changes_no_unit(tmp_path):
-    (found,) = findings(tmp_path, "m*der(v) = (1/2)*c*v;")
-    assert found.endswith("the units differ: kg.m/s2 and kg.m/s3")
+    (finding,) = findings(tmp_path, "m*der(v) = (1/2)*c*v;")
+    assert finding.endswith("the units differ: kg.m/s2 and kg.m/s3")
 
 
 def test_connected_signals_have_one_unit(tmp_path):
@@ -124,9 +124,9 @@ def test_connected_signals_have_one_unit(tmp_path):
         "equation\n  controller.w = inertia.w;\n  connect(torque.flange, inertia.flange_a);\n"
         "  connect(controller.i, torque.tau);\nend M;\n"
     )
-    (found,) = (w for w in compile_modelica(file, "M", [MODELICA]).warnings if "units differ" in w)
-    assert found.startswith("M.mo:8: ")
-    assert set(found.rpartition(": ")[2].split(" and ")) == {"A", "N.m"}
+    (finding,) = (w for w in compile_modelica(file, "M", [MODELICA]).warnings if "units differ" in w)
+    assert finding.startswith("M.mo:8: ")
+    assert set(finding.rpartition(": ")[2].split(" and ")) == {"A", "N.m"}
 
 
 @pytest.mark.parametrize("setup", SETUPS, ids=lambda p: p.stem)
@@ -139,5 +139,5 @@ def test_a_wrong_unit_in_the_library_is_found(tmp_path):
     types = tmp_path / "Drives" / "Types.mo"
     types.write_text(types.read_text().replace('final unit = "N.m/A"', 'final unit = "N.m/rad"'))
     setup = tmp_path / "Drives" / "Setups" / "FixedShaft.mo"
-    (found,) = check(load(setup, "Drives.Setups.FixedShaft"))
-    assert found.startswith("Motor.mo:11: the units differ: N.m and ")
+    (finding,) = check(load(setup, "Drives.Setups.FixedShaft"))
+    assert finding.startswith("Motor.mo:11: the units differ: N.m and ")

@@ -492,7 +492,7 @@ def algebraic_loop() -> CompiledModel:
 
 
 def diode() -> CompiledModel:
-    """Voltage y over a diode with a resistor of 1 kOhm beside it, fed with the current u + x: a loop that overflows."""
+    """Voltage y over a diode and a parallel resistor of 1 kOhm, fed with the current u + x: a loop that overflows."""
     return compile_by_hand(
         "Diode",
         states={"x": 0.0},

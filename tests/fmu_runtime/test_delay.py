@@ -126,11 +126,11 @@ def test_derivatives_go_back_with_the_state(built, tmp_path):
     one.start()
 
     def go_on(first):
-        found = []
+        steps = []
         for k in range(first, 40):
             one.c.doStep(k * 0.05, 0.05)
-            found.append(sensitivities(one, ["x", "w"], 2))
-        return found
+            steps.append(sensitivities(one, ["x", "w"], 2))
+        return steps
 
     for k in range(25):
         one.c.doStep(k * 0.05, 0.05)

@@ -123,7 +123,7 @@ def test_friction_by_events_under_inputs(load, interpolation):
 
 @pytest.mark.slow
 def test_the_actuator_with_friction_by_events():
-    """A stiff train whose friction law has a kink where it sticks: the events' ends are kinks, too."""
+    """A stiff train whose friction law has a kink where it sticks: the events' ends are also kinks."""
     current = 0.8 * np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 6), 10)
     time = np.arange(current.size) * 1e-3
     task = Task(time, {"i_cmd": current}, ("tau_sensor", "w_motor"), LOSSY, tolerance=1e-6)

@@ -65,7 +65,7 @@ def test_calculated_parameters_follow(fmu):
 
 def test_setting_what_cannot_be_set(fmu):
     one = fmu("pendulum").start()
-    for name, value, said in [
+    for name, value, message in [
         ("m", 2.0, "before the simulation"),
         ("phi", 0.0, "start value"),
         ("energy", 1.0, "computed by the model"),
@@ -73,7 +73,7 @@ def test_setting_what_cannot_be_set(fmu):
     ]:
         with pytest.raises(FMICallException):
             one.set(**{name: value})
-        assert said in one.messages[-1]
+        assert message in one.messages[-1]
         assert name in one.messages[-1]
 
 

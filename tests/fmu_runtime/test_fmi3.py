@@ -99,7 +99,7 @@ def test_state_and_directional_derivative(built):
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_assertions_hold_in_model_exchange(built, fmi):
-    """x' = x^2 reaches 2 at t = 0.5; the importer is told that it must complete its steps."""
+    """x' = x^2 reaches 2 at t = 0.5; the importer has to complete its steps."""
     with pytest.raises(Exception, match=r"(?i)CompletedIntegratorStep.*failed|assertion violated"):
         fmpy.simulate_fmu(
             str(built("failing", fmi)[0]),

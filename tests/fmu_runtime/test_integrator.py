@@ -68,7 +68,7 @@ TOLERANCES = 10.0 ** -np.arange(3, 12)
 
 @pytest.mark.parametrize("rate", [1e2, 1e6, 1e9])
 def test_a_state_pulled_to_a_slow_motion_keeps_its_tolerance(fmu, rate):
-    """However stiff, and between the integrator's steps too."""
+    """However stiff, also between the integrator's steps."""
     t = np.arange(101) * 0.1
     exact = np.cos(t) - np.exp(-rate * t)
     for tolerance in TOLERANCES:

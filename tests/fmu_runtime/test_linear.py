@@ -56,7 +56,7 @@ def solve(library, matrix: np.ndarray, b: np.ndarray) -> tuple[int, np.ndarray]:
     start = np.cumsum([0, *map(len, columns)])
     tables = [
         start,
-        [row for own in columns for row in own],
+        [row for column in columns for row in column],
         order.columns,
         order.places,
         order.start,
@@ -65,7 +65,7 @@ def solve(library, matrix: np.ndarray, b: np.ndarray) -> tuple[int, np.ndarray]:
     ]
     tables = [np.array(t, dtype=np.intc) for t in tables]
     pointers = (ctypes.c_void_p * 7)(*(t.ctypes.data for t in tables))
-    values = np.concatenate([matrix[own, j] for j, own in enumerate(columns)])
+    values = np.concatenate([matrix[column, j] for j, column in enumerate(columns)])
     x = b.copy()
     result = library.run(
         n, pointers, len(values), len(order.rows), values.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p)
@@ -151,12 +151,12 @@ def test_straight_code_gives_the_same_bits(tmp_path, seed):
     order = plan(columns)
     assert is_short(order)
     start = np.cumsum([0, *map(len, columns)]).tolist()
-    rows = [row for own in columns for row in own]
+    rows = [row for column in columns for row in column]
     code = straight_code("it", start, rows, order)
     (tmp_path / "code.c").write_text(STRAIGHT % (code, GROWTH))
-    own = [str(RUNTIME / f"{name}.c") for name in ("linear", "pivoting")]
+    sources = [str(RUNTIME / f"{name}.c") for name in ("linear", "pivoting")]
     built = tmp_path / "code.so"
-    subprocess.run(["cc", *FLAGS, f"-I{RUNTIME}", "-o", built, tmp_path / "code.c", *own, "-lm"], check=True)
+    subprocess.run(["cc", *FLAGS, f"-I{RUNTIME}", "-o", built, tmp_path / "code.c", *sources, "-lm"], check=True)
     library = ctypes.CDLL(str(built))
     given = [start, rows, order.columns, order.places, order.start, order.diagonal, order.rows]
     tables = [np.array(t, dtype=np.intc) for t in given]
@@ -167,16 +167,16 @@ def test_straight_code_gives_the_same_bits(tmp_path, seed):
 
     refused = 0
     for trial in range(40):
-        values = np.concatenate([matrix[own, j] for j, own in enumerate(columns)])
+        values = np.concatenate([matrix[column, j] for j, column in enumerate(columns)])
         values *= 10.0 ** rng.uniform(-trial / 4, trial / 4, len(values))
         b = rng.normal(size=n)
-        found = []
+        solved = []
         for function, first in (
             (library.with_tables, (n, pointers, len(values), len(order.rows))),
             (library.straight, ()),
         ):
             lu, x = np.zeros(len(order.rows)), b.copy()
-            found.append((function(*first, at(values), at(lu), at(x)), lu.tobytes(), x.tobytes()))
-        assert found[0] == found[1]
-        refused += found[0][0]
+            solved.append((function(*first, at(values), at(lu), at(x)), lu.tobytes(), x.tobytes()))
+        assert solved[0] == solved[1]
+        refused += solved[0][0]
     assert 0 < refused < 40

@@ -275,12 +275,12 @@ def test_sensitivities_go_back_with_the_state(fmu):
     one.start(1e-7)
 
     def go_on(first):
-        found = []
+        courses = []
         for k in range(first, steps):
             one.set(**{drive: 0.5 * (-1) ** (k // 6)})
             one.c.doStep(k * h, h)
-            found.append(sensitivities(one, outputs, len(parameters)))
-        return found
+            courses.append(sensitivities(one, outputs, len(parameters)))
+        return courses
 
     for k in range(10):
         one.c.doStep(k * h, h)
@@ -308,7 +308,7 @@ def test_inputs_that_move_along_a_direction(fmu):
         if differentiated:
             assert call.fmuidSetSensitivityDirections(c, None, n(0), None, n(1)) == 0
         one.start(1e-9)
-        found = []
+        courses = []
         for k in range(30):
             now, then = np.sin(h * k), np.sin(h * (k + 1))
             slope = 0.0 if held else (then - now) / h
@@ -319,10 +319,10 @@ def test_inputs_that_move_along_a_direction(fmu):
                 seed, rate = ((ctypes.c_double * 1)(v) for v in (now, slope))
                 assert call.fmuidSetInputDirections(c, vr, n(1), seed, rate) == 0
             one.c.doStep(h * k, h)
-            found.append(
+            courses.append(
                 sensitivities(one, shown, 1)[:, 0] if differentiated else [one.get(name) for name in shown]
             )
-        return np.array(found)
+        return np.array(courses)
 
     for held in (True, False):
         differences = (run(1.0 + 1e-4, held) - run(1.0 - 1e-4, held)) / 2e-4

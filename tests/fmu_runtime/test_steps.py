@@ -8,7 +8,7 @@ from fmpy.fmi1 import FMICallException
 
 
 @pytest.mark.parametrize(
-    ("t", "h", "said"),
+    ("t", "h", "message"),
     [
         (0.0, -0.1, "a step from t = 0 of size -0.1 is not possible"),
         (0.0, float("nan"), "of size nan is not possible"),
@@ -18,11 +18,11 @@ from fmpy.fmi1 import FMICallException
         (0.0, 2.1, "the step to t = 2.1 goes past the stop time 2"),
     ],
 )
-def test_impossible_steps_are_refused(fmu, t, h, said):
+def test_impossible_steps_are_refused(fmu, t, h, message):
     one = fmu("pendulum").start(stop=2.0)
     with pytest.raises(FMICallException):
         one.c.doStep(t, h)
-    assert said in one.messages[-1]
+    assert message in one.messages[-1]
 
 
 @pytest.mark.parametrize("h", [0.0, 5e-324, 1e-300, 1e-18])

@@ -34,10 +34,10 @@ def integrated(slope: Callable, start: list[float], time: np.ndarray, u: np.ndar
     """States of a plant whose input is held, by SciPy."""
     rows = [np.array(start, dtype=float)]
     for k in range(time.size - 1):
-        found = solve_ivp(
+        solution = solve_ivp(
             lambda t, x, k=k: slope(x, u[k]), time[k : k + 2], rows[-1], "LSODA", rtol=1e-8, atol=1e-10
         )
-        rows.append(found.y[:, -1])
+        rows.append(solution.y[:, -1])
     return np.array(rows).T
 
 
@@ -212,9 +212,9 @@ def test_the_drag_of_a_bouncing_ball_is_found_in_a_reference_fmu(tmp_path, fmi):
     impact.terminal, impact.direction = True, -1.0
     for end in time[1:]:
         while t < end:
-            found = solve_ivp(slope, (t, end), x, rtol=1e-9, atol=1e-11, events=impact)
-            t, x = found.t[-1], found.y[:, -1]
-            if found.status == 1:
+            solution = solve_ivp(slope, (t, end), x, rtol=1e-9, atol=1e-11, events=impact)
+            t, x = solution.t[-1], solution.y[:, -1]
+            if solution.status == 1:
                 x = np.array([0.0, -0.75 * x[1]])
                 if x[1] < 0.1:
                     t, x = end, np.zeros(2)

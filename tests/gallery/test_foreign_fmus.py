@@ -39,13 +39,13 @@ def campaign_of(name: str, folder: Path, **sizes: int) -> Path:
     return folder / "campaign"
 
 
-def assert_same_predictions(found: Found, fmu: Path) -> None:
+def assert_same_predictions(diagnosed: Found, fmu: Path) -> None:
     """The corrected FMU predicts in FMPy, and here, what was fitted."""
-    corrected, values = load_fmu(fmu), found.corrected.fit.values
+    corrected, values = load_fmu(fmu), diagnosed.corrected.fit.values
     assert corrected.interface == "co-simulation"
-    for case in found.subject.model.cases:
-        own = {n: v for n, v in values.items() if n in case.simulator.variables}
-        fitted = case.simulator.simulate(case.task, own)
+    for case in diagnosed.subject.model.cases:
+        of_fmu = {n: v for n, v in values.items() if n in case.simulator.variables}
+        fitted = case.simulator.simulate(case.task, of_fmu)
         assert np.ptp(fitted) > 0.1
         np.testing.assert_array_equal(corrected.simulate(case.task, {}), fitted)
         tolerance = case.task.tolerance or 1e-6
@@ -57,14 +57,14 @@ def test_a_law_at_a_state_is_found_and_its_fmu_predicts_what_was_fitted(tmp_path
     assert run(["identify", str(campaign), "--out", str(tmp_path / "run"), "--quiet"]) == 0
     identified = json.loads((tmp_path / "run" / "result.json").read_text())["parameters"]
     assert identified["C"] == pytest.approx(PLANTS["CIRCUIT"].values[2], rel=0.05)
-    found = diagnose(campaign, out=tmp_path / "out")
-    assert found.diagnosis.verdict.effects == ("voltage_drop@der(i)",)
-    values = found.corrected.fit.values
+    diagnosed = diagnose(campaign, out=tmp_path / "out")
+    assert diagnosed.diagnosis.verdict.effects == ("voltage_drop@der(i)",)
+    values = diagnosed.corrected.fit.values
     assert values["i.voltage_drop"] == pytest.approx(60, rel=0.02)
     corrected = load_fmu(tmp_path / "out" / "corrected" / "Circuit2.fmu")
     laws = [n for n in corrected.variables if n.startswith("i.")]
     assert laws == ["i.voltage_drop", "i.voltage_drop_width"]  # and no law that was only tried
-    assert_same_predictions(found, corrected.path)
+    assert_same_predictions(diagnosed, corrected.path)
     assert run(["check", str(tmp_path / "out" / "corrected"), "--quiet"]) == 0
 
 
@@ -81,18 +81,18 @@ def test_runs_may_start_elsewhere_than_the_fmu_does(tmp_path, monkeypatch):
     )
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
     assert 'segments = "run"' in (tmp_path / "campaign" / "campaign.toml").read_text()
-    found = diagnose(tmp_path / "campaign", out=tmp_path / "out").diagnosis
-    assert found.verdict.effects == (RIGS["HOUSE"][2],)
-    assert any("start from values of T_room that are fitted to each run" in note for note in found.notes)
+    diagnosis = diagnose(tmp_path / "campaign", out=tmp_path / "out").diagnosis
+    assert diagnosis.verdict.effects == (RIGS["HOUSE"][2],)
+    assert any("start from values of T_room that are fitted to each run" in note for note in diagnosis.notes)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["DRIVE", "HOUSE", "TANK"])
 def test_laws_of_every_domain_are_found(tmp_path, name):
     campaign = campaign_of(name, tmp_path)
-    found = diagnose(campaign, out=tmp_path / "out")
-    assert found.diagnosis.verdict.effects == (RIGS[name][2],)
-    assert_same_predictions(found, tmp_path / "out" / "corrected" / f"{name.title()}{RIGS[name][0]}.fmu")
+    diagnosed = diagnose(campaign, out=tmp_path / "out")
+    assert diagnosed.diagnosis.verdict.effects == (RIGS[name][2],)
+    assert_same_predictions(diagnosed, tmp_path / "out" / "corrected" / f"{name.title()}{RIGS[name][0]}.fmu")
 
 
 @pytest.mark.slow
@@ -104,9 +104,9 @@ def test_a_resistance_that_varies_is_found_and_its_fmu_predicts_what_was_fitted(
     fmu = plant_fmu("CIRCUIT", tmp_path, 3)
     logs = write_logs("CIRCUIT", lacking, tmp_path / "logs", runs=3, samples=200)
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
-    found = diagnose(tmp_path / "campaign", out=tmp_path / "out")
-    assert found.diagnosis.verdict.effects == ("varies@R(i)",)
-    assert_same_predictions(found, tmp_path / "out" / "corrected" / "Circuit3.fmu")
+    diagnosed = diagnose(tmp_path / "campaign", out=tmp_path / "out")
+    assert diagnosed.diagnosis.verdict.effects == ("varies@R(i)",)
+    assert_same_predictions(diagnosed, tmp_path / "out" / "corrected" / "Circuit3.fmu")
 
 
 @pytest.mark.slow
@@ -117,12 +117,16 @@ def test_an_equation_is_found_at_a_state_and_its_fmu_predicts_what_was_fitted(tm
     logs = write_logs("VESSEL", lacking, tmp_path / "logs", runs=3, samples=160)
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
     assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    law = found["law_found"]
-    assert (found["verdict"]["kind"], found["verdict"]["port"], law["port"]) == ("unknown", "der(p)", "der(p)")
+    diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    law = diagnosis["law_found"]
+    assert (diagnosis["verdict"]["kind"], diagnosis["verdict"]["port"], law["port"]) == (
+        "unknown",
+        "der(p)",
+        "der(p)",
+    )
     largest = float(re.match(r"[\d.]+ Pa.s-1 \* \(p/([\d.]+)\)\*sqrt\(abs", law["formula"])[1])
     assert float(law["formula"].split()[0]) == pytest.approx(0.8 * largest**1.5, rel=0.05)
-    assert found["corrected_differs"] < 1e-9
+    assert diagnosis["corrected_differs"] < 1e-9
     fmu = load_fmu(tmp_path / "out" / "corrected" / "Vessel3.fmu")
     time = np.linspace(0.0, 8.0, 81)
     task = Task(time, {"q": 2.2 + 0 * time}, ("p",), tolerance=1e-8)

@@ -54,9 +54,9 @@ def test_repeated_times_of_inputs_are_steps(tmp_path):
     time = np.array([0.0, 0.01, 0.01, 0.02, 0.03, 0.04])
     rows = Table(time, {"v_in": np.array([0.0, 0.0, 5.0, 5.0, 5.0, 5.0])}, {"v_in": "V"})
     write_csv(rows, tmp_path / "in.csv")
-    found, notes = simulated(fmu, "--input", str(tmp_path / "in.csv"))
-    assert found.columns["i"][:2].tolist() == [0.0, 0.0]
-    assert found.columns["i"][3] > 0.3
+    outputs, notes = simulated(fmu, "--input", str(tmp_path / "in.csv"))
+    assert outputs.columns["i"][:2].tolist() == [0.0, 0.0]
+    assert outputs.columns["i"][3] > 0.3
     assert any("the second row is a step right after the first" in note for note in notes)
 
 
@@ -99,9 +99,9 @@ def test_states_and_outputs_may_be_arrays(tmp_path, monkeypatch):
     logs = write_logs("ROD", Gap(lacking), tmp_path / "logs", runs=3, samples=150)
     assert run(["init", *map(str, logs), "--fmu", str(fmu), "--out", str(tmp_path / "campaign"), "--quiet"]) == 0
     assert run(["diagnose", str(tmp_path / "campaign"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert found["verdict"]["effects"][0].endswith("@der(T[1])")
-    assert "start from values of T[1], T[2], T[3] that are fitted to each run" in found["notes"][0]
+    diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert diagnosis["verdict"]["effects"][0].endswith("@der(T[1])")
+    assert "start from values of T[1], T[2], T[3] that are fitted to each run" in diagnosis["notes"][0]
 
 
 def test_runs_may_begin_at_any_time(tmp_path):
@@ -111,9 +111,9 @@ def test_runs_may_begin_at_any_time(tmp_path):
         fmu, '<DefaultExperiment stopTime="600.0"/>', '<DefaultExperiment startTime="5000.0" stopTime="5600"/>'
     )
     whole, _ = simulated(fmu, "--step", "1")
-    found, _ = simulated(late, "--step", "1")
-    assert found.time[[0, -1]].tolist() == [5000.0, 5600.0]
-    assert found.columns["h2"] == pytest.approx(whole.columns["h2"], rel=1e-5)
+    outputs, _ = simulated(late, "--step", "1")
+    assert outputs.time[[0, -1]].tolist() == [5000.0, 5600.0]
+    assert outputs.columns["h2"] == pytest.approx(whole.columns["h2"], rel=1e-5)
     tables = {}
     for shift in (0.0, 5000.0):
         logs = write_logs(

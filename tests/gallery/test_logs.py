@@ -16,7 +16,7 @@ from tests.conftest import ROOT
 
 
 def recording(count: int = 250, axes: int = 6) -> dict[str, dict[str, np.ndarray]]:
-    """Return what a file of the robot has, all axes in one motion, the links 3 mrad ahead."""
+    """Return the columns of a robot's file, all axes in one motion, the links 3 mrad ahead."""
     time = 0.004 * np.arange(count)
     angle = np.tile(np.degrees(0.2 * np.maximum(time - 0.5, 0.0) ** 2), (axes, 1))
     columns = {

@@ -32,7 +32,7 @@ def plain_log(mass: float = 1.0, trajectory: str = "sin_sin", count: int = 5, **
 
 
 def simulated_log(fmu: Path, mass: float, trajectory: str, truth: Mapping[str, float]) -> dict[str, Any]:
-    """Return what the bench would record, with the steps of its numbers."""
+    """Return the signals that the bench would record, with the steps of its numbers."""
     time = INTERVAL * np.arange(188)
     goal, on = TRAJECTORIES[trajectory](time)
     inputs = {"q_ref": goal, "enable": on.astype(float)}

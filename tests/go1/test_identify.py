@@ -46,8 +46,8 @@ def test_the_friction_law_comes_back(tmp_path, pendulum_fmus, law):
     assert run(["identify", str(campaign), *stages, "--out", str(out), "--no-report", "--quiet"]) == 0
 
     result = Result.from_json(out)
-    found = result.stage(law)
-    for estimate in found.estimates:
+    stage = result.stage(law)
+    for estimate in stage.estimates:
         truth = TRUTH[law][estimate.name]
         tolerance = {"q_offset": 3e-4, "r_g": 2e-3}.get(estimate.name, 0.03 * truth)
         assert estimate.value == pytest.approx(truth, abs=tolerance), estimate.name

@@ -52,9 +52,9 @@ def budgets(tmp_path_factory):
     """An FMU with every law side by side, at a given speed and given torques."""
     values = {**{n.removeprefix("friction."): v for n, v in LAW_M6.items()}, "K_l": 0.03, "K_ls": 0.02}
     parts = "\n".join(
-        f"  Pendulum.Friction.{law} law{k}({', '.join(f'{n} = {values[n]}' for n in ('K_c', 'K_v', *own))});\n"
+        f"  Pendulum.Friction.{law} law{k}({', '.join(f'{n} = {values[n]}' for n in ('K_c', 'K_v', *terms))});\n"
         f"  output Real budget{k} = law{k}.budget;"
-        for k, (law, own) in enumerate(LAWS.items(), 1)
+        for k, (law, terms) in enumerate(LAWS.items(), 1)
     )
     turned = "\n".join(
         f"  law{k}.tau_m = tau_m;\n  law{k}.tau_e = tau_e;\n  connect(law{k}.flange, joint.flange_a);"
@@ -81,7 +81,7 @@ end Laws;
 )
 def test_each_law_is_its_formula_and_a_part_of_m6(budgets, w, tau_m, tau_e):
     task = Task(np.array([0.0, 1e-9]), {}, tuple(f"budget{k}" for k in range(1, 7)))
-    found = simulate_fmu(budgets, task, {"w0": w, "tau_m": tau_m, "tau_e": tau_e})[:, 0]
+    simulated = simulate_fmu(budgets, task, {"w0": w, "tau_m": tau_m, "tau_e": tau_e})[:, 0]
 
     off = {n: 0.0 for n in LAW_M6 if n not in ("friction.w_s", "friction.alpha")}
     base = {**LAW_M6, **off, "friction.K_c": LAW_M6["friction.K_c"]}
@@ -96,7 +96,7 @@ def test_each_law_is_its_formula_and_a_part_of_m6(budgets, w, tau_m, tau_e):
         {**LAW_M6, "friction.K_mq": 0.0, "friction.K_eq": 0.0},
         LAW_M6,
     ]
-    assert found == pytest.approx([friction_budget(p, w, tau_m, tau_e) for p in as_m6], rel=1e-6)
+    assert simulated == pytest.approx([friction_budget(p, w, tau_m, tau_e) for p in as_m6], rel=1e-6)
 
 
 def test_a_law_by_hand():

@@ -90,13 +90,13 @@ def main():
         if len(ends) == 1:
             last = int(line.read_text())
             ends += sorted({*range(1, last, step), *range(max(1, last - 11), last + 1)})
-        said = {"at": at, "code": code, "line": line.read_text() if line.exists() else "", "read": read(out)}
+        record = {"at": at, "code": code, "line": line.read_text() if line.exists() else "", "read": read(out)}
         if code or stopped:
             identify(msd_problem(), solver="trf", out=out, resume=(out / JOURNAL).exists())
-        said["resumed"] = read(out)
+        record["resumed"] = read(out)
         # A lock that nobody holds is none: the kernel's went with its process.
-        said["left"] = [p.name for p in out.iterdir() if p.name not in ("result.json", "history.h5", ".lock")]
-        print(json.dumps(said), flush=True)
+        record["left"] = [p.name for p in out.iterdir() if p.name not in ("result.json", "history.h5", ".lock")]
+        print(json.dumps(record), flush=True)
 
 
 main()

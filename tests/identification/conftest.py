@@ -29,10 +29,10 @@ class Analytic(Simulator):
         self.count += 1
         known = dict(task.start_values) | dict(parameters)
         with np.errstate(all="ignore"):
-            found = self.function(task.time, task.inputs, known)
-        if found is None:
+            outputs = self.function(task.time, task.inputs, known)
+        if outputs is None:
             raise SimulationError("the integrator gave up")
-        return np.array([np.broadcast_to(found[name], task.time.shape) for name in task.outputs])
+        return np.array([np.broadcast_to(outputs[name], task.time.shape) for name in task.outputs])
 
 
 def step_response(time, inputs, p):

@@ -110,7 +110,7 @@ def test_stages_find_the_truth_with_units_settings_and_offsets_of_single_runs(be
     assert result["K"].relative_error == pytest.approx(0.0, abs=2e-3)
     # The second stage starts where the first one ended.
     assert result.stage("all")["K"].start == result.stage("gain")["K"].value
-    # Noise is known from the repeats of `low` alone, and taken for that of `high` too.
+    # Noise is known from the repeats of `low` alone, and also taken for that of `high`.
     assert [w.variance for w in result.stage("all").uncertainty.whiteness] == pytest.approx([1, 1], abs=0.3)
 
 
@@ -294,11 +294,11 @@ def test_linear_algebra_takes_one_thread_and_gives_them_back(bench):
 
 def test_sensitivity_names_dead_parameters_and_the_noise_floor(bench, analytic):
     problem = Problem.of_stage(campaign(), campaign().stages["all"], bench)
-    found = sensitivity_of(problem)
-    assert found.dead == ()
-    assert found.floor.relative < 1e-12
+    sensitivity = sensitivity_of(problem)
+    assert sensitivity.dead == ()
+    assert sensitivity.floor.relative < 1e-12
     # 1 % of K moves the torque by about 1 %, that is 0.01 * 0.5 * 2 / 0.01 sigma * sqrt(3) repeats = 1.7 sigma.
-    assert found.effect[0, 0] == pytest.approx(1.7, rel=0.2)
+    assert sensitivity.effect[0, 0] == pytest.approx(1.7, rel=0.2)
     ignoring = analytic(lambda t, u, p: lag(t, u, {**p, "tau": 0.4}), ["gain", "tau", "scale", "bias"])
     deaf = sensitivity_of(Problem.of_stage(campaign(), campaign().stages["all"], {"bench": ignoring}))
     assert deaf.dead == ("tau",)
@@ -337,8 +337,8 @@ def test_a_campaign_interrupted_in_its_second_stage_goes_on_there(tmp_path, benc
     resumed = identify(campaign(), simulators=bench, out=tmp_path, resume=True)
     assert resumed.parameters == whole.parameters
     # The first stage is not simulated again: two cases for each evaluation of the second are the most.
-    found = resumed.stage("all")
-    assert bench["bench"].count - before <= 2 * (found.evaluations + 2 * len(found.estimates) + 7)
+    stage = resumed.stage("all")
+    assert bench["bench"].count - before <= 2 * (stage.evaluations + 2 * len(stage.estimates) + 7)
     assert resumed.stage("gain") == stopped.stage("gain")
     assert resumed.status is Status.CONVERGED
 

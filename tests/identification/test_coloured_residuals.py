@@ -19,11 +19,11 @@ def test_standard_errors_do_not_depend_on_the_sampling_rate(n):
     inverse = np.linalg.inv(jacobian.T @ jacobian)
     true = np.sqrt(np.diag(inverse @ jacobian.T @ toeplitz(rho ** np.arange(n)) @ jacobian @ inverse))
 
-    found = []
+    variances = []
     for _ in range(30):
         white = np.sqrt(1.0 - rho**2) * generator.standard_normal(10 * n)
         noise = lfilter([1.0], [1.0, -rho], white)[-n:]
         residuals = noise - jacobian @ (inverse @ jacobian.T @ noise)
         meat, _ = coloured_covariance({"run": [Record("y", residuals, jacobian, np.ones(n))]}, 3)
-        found.append(np.diag(inverse @ meat @ inverse))
-    assert np.sqrt(np.mean(found, axis=0)) / true == pytest.approx(1.0, abs=0.25)
+        variances.append(np.diag(inverse @ meat @ inverse))
+    assert np.sqrt(np.mean(variances, axis=0)) / true == pytest.approx(1.0, abs=0.25)

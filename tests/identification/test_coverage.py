@@ -71,8 +71,8 @@ def test_intervals_of_the_linear_stage_hold_the_truth(runs, coloured, kind, whit
         # Slow noise hides damping more than white noise does: less of it leaves the problem as linear.
         return 0.2 * SIGMA * np.sqrt(1 - 0.8**2) * coloured(generator, REPEATS, n, colour=0.8)
 
-    found = coverage(runs, noise, whiten, draws=200)
-    assert all(0.90 <= share <= 0.98 for share in found.values()), found
+    coverages = coverage(runs, noise, whiten, draws=200)
+    assert all(0.90 <= share <= 0.98 for share in coverages.values()), coverages
 
 
 @pytest.mark.slow
@@ -81,7 +81,7 @@ def test_intervals_of_the_campaigns_own_linear_stage_hold_the_truth(fmus, kind):
     """Fewer noises than `make coverage` draws; docs/statistics.md has its figures."""
     if not (CAMPAIGN / "measurements.h5").exists():
         subprocess.run([sys.executable, "-m", "benchmarks.virtual_rig", str(CAMPAIGN)], check=True)
-    found = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, kind=kind, seed=1)
-    assert len(found.names) == 11
-    assert 0.90 <= np.mean(found.shares) <= 0.98, str(found)
-    assert np.mean(np.sqrt(np.mean(found.deviations**2, axis=0))) == pytest.approx(1.0, abs=0.15)
+    coverages = interval_coverage(load_campaign(CAMPAIGN), "linear", draws=30, kind=kind, seed=1)
+    assert len(coverages.names) == 11
+    assert 0.90 <= np.mean(coverages.shares) <= 0.98, str(coverages)
+    assert np.mean(np.sqrt(np.mean(coverages.deviations**2, axis=0))) == pytest.approx(1.0, abs=0.15)

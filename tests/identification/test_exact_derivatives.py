@@ -141,9 +141,9 @@ def test_trials_bring_their_jacobians_and_noise_is_measured_when_the_cost_stops_
     assert purposes.count("derivative") == 6
     assert len(jobs) <= search.evaluations + 2  # the last two ask for them only where they are needed
     simulated = len(jobs)
-    found = uncertainty_of(problem, search.best, floor=search.noise_floor)
+    uncertainty = uncertainty_of(problem, search.best, floor=search.noise_floor)
     assert len(jobs) == simulated
-    for name, error in zip(found.names, found.standard_errors, strict=True):
+    for name, error in zip(uncertainty.names, uncertainty.standard_errors, strict=True):
         assert abs(search.best.parameters[name] - truth[name]) < 4.0 * error
 
 

@@ -108,16 +108,16 @@ def test_excited_frequencies_are_those_of_most_power_in_order():
     u += 0.05 * np.sin(2 * np.pi * 70.0 * time)  # a four-hundredth
     resolution = 800 / (801 * 4.0)  # Hz
     assert excited_frequencies(time, u, count=2) == pytest.approx([16 * resolution, 80 * resolution], rel=1e-9)
-    found = excited_frequencies(time, u)
-    assert list(found) == sorted(found)
-    assert {round(f, -1) for f in found} == {0.0, 20.0, 50.0}
+    frequencies = excited_frequencies(time, u)
+    assert list(frequencies) == sorted(frequencies)
+    assert {round(f, -1) for f in frequencies} == {0.0, 20.0, 50.0}
     assert len(excited_frequencies(time, np.random.default_rng(0).standard_normal(801))) == 10
 
 
 def test_what_is_slow_is_excited_and_what_is_constant_is_not():
     time = np.linspace(0.0, 4.0, 801)
-    found = excited_frequencies(time, (time - 2.0) ** 2 + np.sin(2 * np.pi * 0.75 * time))
-    assert 0.0 < found[0] < 0.6
+    frequencies = excited_frequencies(time, (time - 2.0) ** 2 + np.sin(2 * np.pi * 0.75 * time))
+    assert 0.0 < frequencies[0] < 0.6
 
 
 def test_excited_frequencies_need_no_even_sampling():

@@ -50,12 +50,12 @@ def planned(tmp_path_factory):
     return folder
 
 
-def values(found, kind, output=0):
-    return np.array([i.value for i in found.outputs[output].indices[kind]])
+def values(indices, kind, output=0):
+    return np.array([i.value for i in indices.outputs[output].indices[kind]])
 
 
-def half_widths(found, kind, output=0):
-    return np.array([i.half_width for i in found.outputs[output].indices[kind]])
+def half_widths(indices, kind, output=0):
+    return np.array([i.half_width for i in indices.outputs[output].indices[kind]])
 
 
 def of_sum(analytic, specs, terms=lambda p: p["a"] + 3 * p["b"], sigma=0.5):
@@ -71,37 +71,37 @@ TWO = [ParameterSpec("a", 0.0, -1, 1), ParameterSpec("b", 0.0, -1, 1)]
 
 
 def test_indices_of_a_static_model_are_the_analytic_ones(planned):
-    found = global_sensitivity(planned, of="mean", samples=1024)
+    indices = global_sensitivity(planned, of="mean", samples=1024)
     first, total = ishigami()
-    assert found.names == ("a", "b", "c", "idle")
-    assert [o.label for o in found.outputs] == ["designed: y", "designed: still"]
+    assert indices.names == ("a", "b", "c", "idle")
+    assert [o.label for o in indices.outputs] == ["designed: y", "designed: still"]
     for kind, known in (("first", first), ("total", total)):
-        assert values(found, kind) == pytest.approx(known, abs=0.05)
-        assert np.all(np.abs(values(found, kind) - known) <= 1.5 * half_widths(found, kind))
-        assert np.all(half_widths(found, kind) < 0.15)
-    assert found.negligible == ("idle",)
-    assert found.unmoved == ("designed: still",)
-    assert len(found.draws) == 1024 * 6
+        assert values(indices, kind) == pytest.approx(known, abs=0.05)
+        assert np.all(np.abs(values(indices, kind) - known) <= 1.5 * half_widths(indices, kind))
+        assert np.all(half_widths(indices, kind) < 0.15)
+    assert indices.negligible == ("idle",)
+    assert indices.unmoved == ("designed: still",)
+    assert len(indices.draws) == 1024 * 6
 
 
 def test_the_change_is_in_standard_deviations_of_the_noise(analytic):
     """y = a + 3 b: the squared change has a variance that splits into known parts; its root has the same ranges."""
-    found = global_sensitivity_of(of_sum(analytic, TWO), samples=512)
-    scalars = found.outputs[0].scalars
-    assert scalars == pytest.approx(np.abs(found.draws @ [1.0, 3.0]) / 0.5)
-    assert values(found, "total")[1] > 0.8
+    indices = global_sensitivity_of(of_sum(analytic, TWO), samples=512)
+    scalars = indices.outputs[0].scalars
+    assert scalars == pytest.approx(np.abs(indices.draws @ [1.0, 3.0]) / 0.5)
+    assert values(indices, "total")[1] > 0.8
     mean = global_sensitivity_of(of_sum(analytic, TWO), of="mean", samples=512)
     assert values(mean, "first") == pytest.approx([0.1, 0.9], abs=0.02)
     assert values(mean, "total") == pytest.approx([0.1, 0.9], abs=0.02)
 
 
 def test_elementary_effects_of_a_line_are_its_slopes(analytic):
-    found = global_sensitivity_of(of_sum(analytic, TWO), "morris", of="final")
-    assert values(found, "mu_star") == pytest.approx([2.0, 6.0])
-    assert values(found, "mu") == pytest.approx([2.0, 6.0])
-    assert values(found, "sigma") == pytest.approx([0.0, 0.0], abs=1e-12)
-    assert half_widths(found, "mu_star") == pytest.approx([0.0, 0.0], abs=1e-12)
-    assert len(found.draws) == 20 * 3
+    indices = global_sensitivity_of(of_sum(analytic, TWO), "morris", of="final")
+    assert values(indices, "mu_star") == pytest.approx([2.0, 6.0])
+    assert values(indices, "mu") == pytest.approx([2.0, 6.0])
+    assert values(indices, "sigma") == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert half_widths(indices, "mu_star") == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert len(indices.draws) == 20 * 3
 
 
 def test_parameters_are_drawn_from_priors_and_on_their_scale(analytic):
@@ -109,27 +109,27 @@ def test_parameters_are_drawn_from_priors_and_on_their_scale(analytic):
         ParameterSpec("a", 5.0, 4.4, 9.0, prior=Prior(5.0, 0.2)),
         ParameterSpec("b", 1.0, 0.01, 100.0, scale="log"),
     ]
-    found = global_sensitivity_of(of_sum(analytic, specs, lambda p: p["a"] + np.log10(p["b"])), of="mean")
-    a, b = found.draws.T
-    assert found.ranges == ((4.4, pytest.approx(5.6)), (0.01, 100.0))
+    indices = global_sensitivity_of(of_sum(analytic, specs, lambda p: p["a"] + np.log10(p["b"])), of="mean")
+    a, b = indices.draws.T
+    assert indices.ranges == ((4.4, pytest.approx(5.6)), (0.01, 100.0))
     assert np.mean(a) == pytest.approx(5.0, abs=0.01)
     assert np.std(a) == pytest.approx(0.2, rel=0.03)  # cut at three standard deviations
     assert np.median(b) == pytest.approx(1.0, rel=0.05)
     variances = np.array([0.2**2, 4**2 / 12])
-    assert values(found, "first") == pytest.approx(variances / variances.sum(), abs=0.05)
+    assert values(indices, "first") == pytest.approx(variances / variances.sum(), abs=0.05)
 
 
 def test_failed_simulations_are_left_out_and_told(analytic):
     def half(p):
         return None if p["a"] > 0.99 else p["a"] + 3 * p["b"]
 
-    found = global_sensitivity_of(of_sum(analytic, TWO, half), of="mean", samples=512)
-    bad = found.draws[:, 0] > 0.99
-    assert found.failed == bad.sum() > 0
-    assert np.array_equal(np.isnan(found.outputs[0].scalars), bad)
-    assert found.samples == 512 - bad.reshape(512, 4).any(axis=1).sum()
-    assert values(found, "first") == pytest.approx([0.1, 0.9], abs=0.05)
-    assert f"{found.failed} draws of 2048 could not be simulated (run: the integrator gave up)" in str(found)
+    indices = global_sensitivity_of(of_sum(analytic, TWO, half), of="mean", samples=512)
+    bad = indices.draws[:, 0] > 0.99
+    assert indices.failed == bad.sum() > 0
+    assert np.array_equal(np.isnan(indices.outputs[0].scalars), bad)
+    assert indices.samples == 512 - bad.reshape(512, 4).any(axis=1).sum()
+    assert values(indices, "first") == pytest.approx([0.1, 0.9], abs=0.05)
+    assert f"{indices.failed} draws of 2048 could not be simulated (run: the integrator gave up)" in str(indices)
     with pytest.raises(SimulationError, match="draws cannot be simulated"):
         global_sensitivity_of(of_sum(analytic, TWO, lambda p: None if p["a"] != 0 else 1.0), samples=16)
 
@@ -152,10 +152,10 @@ def test_an_interruption_leaves_what_was_reached(analytic):
             raise KeyboardInterrupt
         return p["a"] + 3 * p["b"]
 
-    found = global_sensitivity_of(of_sum(analytic, TWO, terms), of="mean", samples=256)
-    assert found.interrupted
-    assert len(found.draws) == 4 * found.samples == 192
-    assert "Interrupted after 192 draws" in str(found)
+    indices = global_sensitivity_of(of_sum(analytic, TWO, terms), of="mean", samples=256)
+    assert indices.interrupted
+    assert len(indices.draws) == 4 * indices.samples == 192
+    assert "Interrupted after 192 draws" in str(indices)
 
 
 @pytest.mark.parametrize(
@@ -195,8 +195,8 @@ def test_the_command_takes_the_inputs_of_a_planned_run(tmp_path, monkeypatch, ca
     Path("plan.csv").write_text(f"time,u [mV]\n{rows}\n")
     command = ["sensitivity", "campaign.toml", "--input", "plan.csv", "--of", "final", "--samples", "64"]
     assert run([*command, "--workers", "0", "--out", "found", "--json", "found.json"]) == 0
-    said = capsys.readouterr().out
-    assert "next: fmuid design campaign.toml --for parameters" in said
+    printed = capsys.readouterr().out
+    assert "next: fmuid design campaign.toml --for parameters" in printed
     answer = json.loads(Path("found.json").read_text())
     assert answer == json.loads(Path("found/sensitivity.json").read_text())
     (output,) = answer["outputs"]

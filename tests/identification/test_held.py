@@ -70,7 +70,7 @@ def test_degrees_of_freedom_of_a_sum_of_variances():
 
 def test_errors_of_two_correlated_parameters_and_of_what_they_inherit_add_up():
     """In model space: the stage's own covariance, slopes times errors of what it holds, and differences of ties."""
-    slope, own = np.array([2.0, 0.5]), np.array([[1.0, 0.6], [0.6, 4.0]])
+    slope, covariance = np.array([2.0, 0.5]), np.array([[1.0, 0.6], [0.6, 4.0]])
     slopes, held = np.array([[0.4], [-0.2]]), np.array([3.0, 0.0])
     inherited = np.outer(slopes / slope[:, None], slopes / slope[:, None]) * (held @ held)
     space = SimpleNamespace(
@@ -79,9 +79,9 @@ def test_errors_of_two_correlated_parameters_and_of_what_they_inherit_add_up():
         slope=lambda x: slope,
         followed=lambda p: {**p, "t": p["a"] - 3.0 * p["b"]},
     )
-    found = SimpleNamespace(
+    uncertainty = SimpleNamespace(
         point=(1.0, 1.0),
-        covariance=own + inherited,
+        covariance=covariance + inherited,
         inherited=inherited.tolist(),
         standard_errors=(1.0, 1.0),
         held=("h",),
@@ -89,12 +89,12 @@ def test_errors_of_two_correlated_parameters_and_of_what_they_inherit_add_up():
         degrees_of_freedom=11.0,
     )
     before = Known({"h": held, "t": np.array([9.0, 9.0]), "b": np.array([9.0, 9.0])}, np.array([5.0, 7.0]))
-    after = before.after(SimpleNamespace(space=space), found, {"h": 1.0, "a": 1.0, "b": 2.0, "t": -5.0})
+    after = before.after(SimpleNamespace(space=space), uncertainty, {"h": 1.0, "a": 1.0, "b": 2.0, "t": -5.0})
     assert list(after.degrees) == [5.0, 7.0, 11.0, 11.0]
     assert after.rows.keys() == {"h", "a", "b", "t"}
     rows = np.array([after.rows["a"], after.rows["b"]])
     np.testing.assert_allclose(rows[:, :2], slopes @ held[None, :])
-    np.testing.assert_allclose(rows[:, 2:] @ rows[:, 2:].T, own * np.outer(slope, slope))
+    np.testing.assert_allclose(rows[:, 2:] @ rows[:, 2:].T, covariance * np.outer(slope, slope))
     np.testing.assert_allclose(after.rows["t"], rows[0] - 3.0 * rows[1], atol=1e-9)
     np.testing.assert_allclose(after.rows["h"], [3.0, 0.0, 0.0, 0.0])
     unknown = before.after(SimpleNamespace(space=space), None, {"h": 1.0, "a": 1.0, "b": 2.0, "t": -5.0})
@@ -107,7 +107,7 @@ def test_the_error_of_a_tie_is_that_of_its_slope_at_the_estimate():
     space = SimpleNamespace(
         names=("a",), ties={"t": "a**3"}, slope=np.ones_like, followed=lambda p: {**p, "t": p["a"] ** 3}
     )
-    found = SimpleNamespace(
+    uncertainty = SimpleNamespace(
         point=(2.0,),
         covariance=[[0.25]],
         inherited=(),
@@ -116,7 +116,7 @@ def test_the_error_of_a_tie_is_that_of_its_slope_at_the_estimate():
         held_slopes=((),),
         degrees_of_freedom=None,
     )
-    after = Known().after(SimpleNamespace(space=space), found, {"a": 2.0, "t": 8.0})
+    after = Known().after(SimpleNamespace(space=space), uncertainty, {"a": 2.0, "t": 8.0})
     assert np.abs(after.rows["a"]) == pytest.approx([0.5])
     assert after.rows["t"] == pytest.approx(3.0 * 2.0**2 * after.rows["a"], rel=1e-6)
     assert list(after.degrees) == [np.inf]
@@ -124,7 +124,7 @@ def test_the_error_of_a_tie_is_that_of_its_slope_at_the_estimate():
 
 def test_a_direction_whose_variance_came_out_below_zero_has_no_error():
     space = SimpleNamespace(names=("a", "b"), ties={}, slope=np.ones_like, followed=dict)
-    found = SimpleNamespace(
+    uncertainty = SimpleNamespace(
         point=(0.0, 0.0),
         covariance=[[4.0, 0.0], [0.0, -1e-9]],
         inherited=(),
@@ -133,27 +133,27 @@ def test_a_direction_whose_variance_came_out_below_zero_has_no_error():
         held_slopes=((), ()),
         degrees_of_freedom=3.0,
     )
-    rows = Known().after(SimpleNamespace(space=space), found, {"a": 0.0, "b": 0.0}).rows
+    rows = Known().after(SimpleNamespace(space=space), uncertainty, {"a": 0.0, "b": 0.0}).rows
     assert sorted(np.abs(rows["a"])) == [0.0, 2.0]
     assert list(np.abs(rows["b"])) == [0.0, 0.0]
 
 
 def textbook():
     """Standard error of b alone, and with a at the mean of the idle run."""
-    own = SIGMA / np.sqrt(np.sum(LOADED**2))
+    alone = SIGMA / np.sqrt(np.sum(LOADED**2))
     slope = -np.sum(LOADED) / np.sum(LOADED**2)
-    return own, slope, np.hypot(own, slope * SIGMA / np.sqrt(IDLE.size))
+    return alone, slope, np.hypot(alone, slope * SIGMA / np.sqrt(IDLE.size))
 
 
 def test_the_error_of_what_is_held_is_inherited(bench):
     stage = identify(campaign(LEVEL, SLOPE), simulators=bench).stage("slope")
-    own, slope, both = textbook()
+    alone, slope, both = textbook()
     assert stage["b"].standard_error == pytest.approx(both, rel=1e-4)
-    assert stage["b"].inherited == pytest.approx(1 - (own / both) ** 2, rel=1e-4)
-    found = stage.uncertainty
-    assert found.held == ("a",)
-    assert found.held_slopes[0][0] == pytest.approx(slope, rel=1e-6)
-    assert found.degrees == (None,)  # sigma is given
+    assert stage["b"].inherited == pytest.approx(1 - (alone / both) ** 2, rel=1e-4)
+    uncertainty = stage.uncertainty
+    assert uncertainty.held == ("a",)
+    assert uncertainty.held_slopes[0][0] == pytest.approx(slope, rel=1e-6)
+    assert uncertainty.degrees == (None,)  # sigma is given
     assert "inherited" in str(stage)
     assert "86 %" in str(stage)
 
@@ -173,14 +173,14 @@ def test_what_is_identified_again_is_forgotten(bench):
 
 
 def test_errors_go_through_ties_and_on_to_the_stage_after_next(bench):
-    # c = 3 a is held where a is held: both move together. Then b is held, and its errors are those of a, too.
+    # c = 3 a is held where a is held: both move together. Then b is held, and its errors include those of a.
     tied = replace(LEVEL, tie={"c": "0.5*a"}, start={"a": 1.0})
     last = StageSpec("last", ("idle",), ("c",))
     result = identify(campaign(tied, SLOPE, last), simulators=bench)
-    found = result.stage("last").uncertainty
-    assert found.held == ("a", "b")  # c is free again
-    assert found.held_slopes[0] == pytest.approx((-1.0, 0.0), abs=1e-6)
-    # y = a + c, and a = y / 1.5: all of a's error goes into c, beside the noise of the run itself.
+    uncertainty = result.stage("last").uncertainty
+    assert uncertainty.held == ("a", "b")  # c is free again
+    assert uncertainty.held_slopes[0] == pytest.approx((-1.0, 0.0), abs=1e-6)
+    # y = a + c, and a = y / 1.5: c has all of a's error in addition to the noise of the run.
     error = SIGMA / np.sqrt(IDLE.size)
     assert result["c"].standard_error == pytest.approx(np.hypot(error, error / 1.5), rel=1e-4)
 
@@ -190,8 +190,8 @@ def test_what_was_tied_has_its_share_of_the_error(bench):
     result = identify(campaign(tied, again), simulators=bench)
     assert result.stage("slope").uncertainty.held == ("b",)
     # a = mean(y - b t): the error of b, a quarter of the level's, counts with the mean time.
-    own, level = SIGMA / np.sqrt(LOADED.size), SIGMA / np.sqrt(IDLE.size)
-    assert result["a"].standard_error == pytest.approx(np.hypot(own, LOADED.mean() * level / 4), rel=1e-4)
+    alone, level = SIGMA / np.sqrt(LOADED.size), SIGMA / np.sqrt(IDLE.size)
+    assert result["a"].standard_error == pytest.approx(np.hypot(alone, LOADED.mean() * level / 4), rel=1e-4)
 
 
 def test_a_value_of_one_experiment_is_inherited_where_that_experiment_is_used_again(bench):
@@ -210,9 +210,9 @@ def test_profiles_and_draws_contain_what_is_inherited(bench):
     stage = result.stage("slope")
     assert stage.profiles[0].interval == pytest.approx(stage["b"].interval, rel=1e-3)
     # At the end of the run a + 10 b: a's error and what it does to b nearly cancel half of each other.
-    own, slope, _ = textbook()
+    alone, slope, _ = textbook()
     level = SIGMA / np.sqrt(IDLE.size)
-    spread = np.hypot(10 * own, (1 + 9.75 * slope) * level) / SIGMA
+    spread = np.hypot(10 * alone, (1 + 9.75 * slope) * level) / SIGMA
     drawn = stage.spread[1]
     assert drawn.high - drawn.median == pytest.approx(1.3 * spread, rel=0.5)
 
@@ -254,8 +254,8 @@ def test_intervals_of_a_second_stage_hold_the_truth(bench):
     for seed in range(draws):
         stage = identify(campaign(LEVEL, SLOPE, seed=seed), simulators=bench).stage("slope")
         low, high = stage["b"].interval
-        own = stage["b"].standard_error * np.sqrt(1 - stage["b"].inherited)
-        hits += low < B < high, abs(stage["b"].value - B) < 1.96 * own
+        alone = stage["b"].standard_error * np.sqrt(1 - stage["b"].inherited)
+        hits += low < B < high, abs(stage["b"].value - B) < 1.96 * alone
     inherited, plain = hits / draws
     assert 0.90 <= inherited <= 0.98
     assert plain < 0.7

@@ -67,7 +67,7 @@ def start(tmp_path, solver, *more, pause=0.004, folder=None, stderr=None):
 
 
 def killed_and_resumed(tmp_path, solver, kills, generator):
-    """Kill a run at random moments, resume it each time, and return what it prints in the end."""
+    """Kill a run at random moments, resume it each time, and return its last output."""
     process = start(tmp_path, solver)
     journal = tmp_path / "run" / JOURNAL
     for _ in range(kills):
@@ -191,7 +191,7 @@ def test_a_journal_cut_anywhere_is_read_up_to_the_cut(tmp_path, msd):
 
 
 def broken_at_every_file_operation(folder, *arguments):
-    """Return what `broken_disk.py` says of the run that nothing happens to, and of the others."""
+    """Return the records of `broken_disk.py`: of the run without a failure, and of the others."""
     script = Path(__file__).with_name("broken_disk.py")
     command = [sys.executable, str(script), str(folder), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -270,20 +270,20 @@ def test_two_writers_the_second_is_told_who_the_first_is(tmp_path, msd):
     class Second(Observer):
         """Starts another run in the same folder while the first one goes on: in a thread, in a process."""
 
-        said = ()
+        messages = ()
 
         def started(self, problem, solver, why, stop):
             with ThreadPoolExecutor(1) as pool, pytest.raises(LockedError) as refused:
                 pool.submit(identify, msd(), solver="bobyqa", out=tmp_path).result()
             with start(tmp_path, "bobyqa", folder=tmp_path, stderr=subprocess.PIPE) as other:
-                self.said = (str(refused.value), other.communicate(timeout=60)[1])
+                self.messages = (str(refused.value), other.communicate(timeout=60)[1])
 
     observer = Second()
-    found = identify(msd(), solver="bobyqa", out=tmp_path, observer=observer)
-    for said in observer.said:
-        assert f"(process {os.getpid()} on " in said
-        assert "is writing to this folder; wait until it ends, or choose another folder" in said
-    assert Result.from_json(tmp_path) == found
+    result = identify(msd(), solver="bobyqa", out=tmp_path, observer=observer)
+    for message in observer.messages:
+        assert f"(process {os.getpid()} on " in message
+        assert "is writing to this folder; wait until it ends, or choose another folder" in message
+    assert Result.from_json(tmp_path) == result
     assert {p.name for p in tmp_path.iterdir()} == {"result.json", "history.h5", "run.py"}
 
 
@@ -426,8 +426,8 @@ def test_ctrl_c_at_any_instruction_leaves_whole_records(tmp_path: Path) -> None:
         position = journal.append("third")
         assert journal.read(position) == "third"
         journal.close()
-        found = [content for content, _, _ in records(path, magic)]
-        assert found in (["first", "third"], ["first", "second, a longer one", "third"])
+        contents = [content for content, _, _ in records(path, magic)]
+        assert contents in (["first", "third"], ["first", "second, a longer one", "third"])
         if not came:
             break
         step += 1

@@ -20,12 +20,12 @@ def test_intervals_of_a_line_hold_the_truth(bench):
     both = SLOPE.__class__("both", ("loaded",), ("a", "b"))
     truth = {n: ParameterSpec(n, 1.0, truth=v) for n, v in (("a", 2.0), ("b", 0.5))}
     for kind in ("white", "coloured"):
-        found = interval_coverage(campaign(both, **truth), "both", draws=60, kind=kind, simulators=bench)
-        assert found.names == ("a", "b")
-        assert np.all(found.shares >= 0.85), (kind, found.shares)
-        rms = np.sqrt(np.mean(found.deviations**2, axis=0))
+        coverages = interval_coverage(campaign(both, **truth), "both", draws=60, kind=kind, simulators=bench)
+        assert coverages.names == ("a", "b")
+        assert np.all(coverages.shares >= 0.85), (kind, coverages.shares)
+        rms = np.sqrt(np.mean(coverages.deviations**2, axis=0))
         assert np.all((rms > 0.75) & (rms < 1.35)), (kind, rms)
-        assert "inside, of 60" in str(found)
+        assert "inside, of 60" in str(coverages)
 
 
 def test_intervals_around_what_is_not_the_truth_do_not_hold_it(bench):
@@ -54,9 +54,9 @@ class Biased(Simulator):
 def test_measurements_may_differ_from_the_model(bench, kind):
     both = SLOPE.__class__("both", ("loaded",), ("a", "b"))
     truth = {n: ParameterSpec(n, 1.0, truth=v) for n, v in (("a", 2.0), ("b", 0.5))}
-    found = interval_coverage(campaign(both, **truth), "both", draws=20, kind=kind, simulators=bench)
+    coverages = interval_coverage(campaign(both, **truth), "both", draws=20, kind=kind, simulators=bench)
     off = kind in ("gain", "friction")  # one run does not show how a gain varies
-    assert np.min(found.shares) < 0.8 if off else np.min(found.shares) >= 0.8
+    assert np.min(coverages.shares) < 0.8 if off else np.min(coverages.shares) >= 0.8
 
 
 def test_mistakes_are_one_line(bench, capsys):
@@ -79,15 +79,15 @@ def test_the_light_model_is_measured_under_each_kind_of_noise():
 
 @pytest.mark.parametrize("kind", WRONG)
 def test_predictions_of_a_wrong_model_have_intervals_that_hold_new_runs(kind):
-    found = new_run_coverage(kind, 8)
-    assert np.mean(found.inside) >= 0.9
-    assert np.all(found.warned == 1.0)
+    coverages = new_run_coverage(kind, 8)
+    assert np.mean(coverages.inside) >= 0.9
+    assert np.all(coverages.warned == 1.0)
 
 
 def test_predictions_of_a_complete_model_are_as_good_as_its_noise():
-    found = new_run_coverage("white", 8)
-    assert 0.93 <= np.mean(found.inside) <= 0.97
-    assert np.mean(found.warned) < 0.2
+    coverages = new_run_coverage("white", 8)
+    assert 0.93 <= np.mean(coverages.inside) <= 0.97
+    assert np.mean(coverages.warned) < 0.2
 
 
 def test_a_validation_counts_the_new_runs_that_are_within_their_intervals():

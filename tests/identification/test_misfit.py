@@ -73,9 +73,9 @@ def test_only_units_of_the_signals_own_quantity_are_suggested(analytic, measured
 
 def test_what_the_model_misses_is_told_in_terms_of_the_noise(analytic, measured):
     missed = 0.05 * np.sin(TIME / 20.0)  # RMS 35 sigma, 3 % of the signal
-    (said,) = (w for w in warnings(analytic, measured + missed) if w.startswith("the residual of y is"))
-    assert said.startswith("the residual of y is 3") or said.startswith("the residual of y is 2")
-    assert said.endswith("run fmuid diagnose")
+    (warning,) = (w for w in warnings(analytic, measured + missed) if w.startswith("the residual of y is"))
+    assert warning.startswith("the residual of y is 3") or warning.startswith("the residual of y is 2")
+    assert warning.endswith("run fmuid diagnose")
 
 
 def test_noise_that_nobody_knows_is_no_measure(analytic, measured):

@@ -145,8 +145,8 @@ def test_certified_values_from_afar(name):
 @pytest.mark.parametrize("name", MODELS)
 def test_certified_standard_deviations(name):
     nist = SETS[name]
-    found = identify(problem(nist, nist.certified)).stages[0].uncertainty
-    given = [k for k, error in enumerate(found.naive_errors) if error is not None]
+    uncertainty = identify(problem(nist, nist.certified)).stages[0].uncertainty
+    given = [k for k, error in enumerate(uncertainty.naive_errors) if error is not None]
     if name not in ("ENSO", "Nelson"):  # some of theirs are too uncertain for an interval of their own
         assert len(given) == len(nist.certified)
-    assert [found.naive_errors[k] for k in given] == pytest.approx(list(nist.deviations[given]), rel=1e-4)
+    assert [uncertainty.naive_errors[k] for k in given] == pytest.approx(list(nist.deviations[given]), rel=1e-4)

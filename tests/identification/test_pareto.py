@@ -44,9 +44,9 @@ FRONT = AnalysisSpec(pareto=ParetoSpec(points=9))
 
 
 def test_a_concave_front_is_found_evenly(analytic, tmp_path):
-    found = identify(problem(analytic, fonseca, "ab", ("f", "g")), analyses=FRONT, out=tmp_path)
+    result = identify(problem(analytic, fonseca, "ab", ("f", "g")), analyses=FRONT, out=tmp_path)
     stage = Result.from_json(tmp_path).stages[0]
-    assert stage == found.stages[0]
+    assert stage == result.stages[0]
     front = stage.front
     assert front.objectives == ("f error_vector", "g error_vector")
     assert front.message.startswith("complete, 9 points")
@@ -57,7 +57,7 @@ def test_a_concave_front_is_found_evenly(analytic, tmp_path):
     assert np.max(np.diff(f)) < 0.25
     a, b = np.array([(p.parameters["a"], p.parameters["b"]) for p in front.points]).T
     np.testing.assert_allclose(a, b, atol=0.03)
-    # The estimate is the stage's own: the least of the worst objective, on the front too.
+    # The estimate is the stage's own: the least of the worst objective, also on the front.
     assert front.chosen[0] == pytest.approx(1 - np.exp(-1), abs=1e-3)
     assert front.chosen[1] == pytest.approx(on_fonsecas_front(front.chosen[0]), abs=1e-3)
     assert "Pareto front: complete" in str(stage)

@@ -85,9 +85,9 @@ def test_equal_experiments_have_one_degree_of_freedom_less_than_their_number(ana
             y = size * np.sin(TIME) * (1.0 + 0.3 * random.standard_normal()) + SIGMA * random.standard_normal(300)
             task = Task(TIME, {"u": np.full(300, size)}, ("y",))
             cases.append(measured_case(f"run{k}", model, task, {"y": y}, sigma={"y": SIGMA}))
-        found = identify(Problem(cases, [ParameterSpec("a", 0.5)])).stages[0].uncertainty
-        assert found.robust == ("a",)
-        return found.degrees[0]
+        uncertainty = identify(Problem(cases, [ParameterSpec("a", 0.5)])).stages[0].uncertainty
+        assert uncertainty.robust == ("a",)
+        return uncertainty.degrees[0]
 
     assert degrees([1.0] * 5) == pytest.approx(4.0)
     assert 1.0 <= degrees([10.0, 1.0, 1.0, 1.0, 1.0]) < 2.0

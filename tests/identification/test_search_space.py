@@ -46,11 +46,11 @@ def test_a_per_experiment_parameter_is_free_once_for_each():
 
 def test_a_tie_of_per_experiment_parameters_holds_run_by_run():
     """Also along a chain, and where the leader is held."""
-    own = [
+    per_run = [
         ParameterSpec(n, s, per="experiment") for n, s in (("load[1]", 1.0), ("b", 1.0), ("c", 1.0), ("held", 5.0))
     ]
     ties = {"b": "2 * k * load[1] + held", "c": "max(b, 0)"}
-    space = expanded([ParameterSpec("k", 3.0), *own], ["load[1]", "k"], {"held@y": 7.0}, ties, ["x", "y"])
+    space = expanded([ParameterSpec("k", 3.0), *per_run], ["load[1]", "k"], {"held@y": 7.0}, ties, ["x", "y"])
     assert space.names == ("load[1]@x", "load[1]@y", "k")
     values = space.to_model(space.to_search({"load[1]@x": 1.0, "load[1]@y": 2.0, "k": 3.0}))
     assert (values["b@x"], values["b@y"], values["c@x"], values["c@y"]) == (11.0, 19.0, 11.0, 19.0)

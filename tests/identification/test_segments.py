@@ -67,11 +67,11 @@ def test_a_balanced_pendulum_is_recovered_from_segments_and_not_from_whole_runs(
     whole = fmuid.identify(of_pendulum(pendulum_fmu, pendulum_runs), with_uncertainty=False)
     assert abs(whole["J"].value / PENDULUM["J"] - 1) > 0.2
     cut = of_pendulum(pendulum_fmu, pendulum_runs, segments=0.5)
-    found = fmuid.identify(cut)
+    result = fmuid.identify(cut)
     for name, truth in PENDULUM.items():
-        assert abs(found[name].value - truth) < 4 * found[name].standard_error
-        assert abs(found[name].value / truth - 1) < 0.02
-    score = fmuid.validate(found, cut)["run_1", "phi"]
+        assert abs(result[name].value - truth) < 4 * result[name].standard_error
+        assert abs(result[name].value / truth - 1) < 0.02
+    score = fmuid.validate(result, cut)["run_1", "phi"]
     assert score.rmse == pytest.approx(1e-3, rel=0.1)
 
 
@@ -109,9 +109,9 @@ def test_standard_errors_count_the_states(trolley_fmu):
     scores = []
     for seed in range(6):
         runs = {f"run_{k}": driven(10 * seed + k, duration=6.0, drift=0.0) for k in range(1)}
-        found = fmuid.identify(of_trolley(trolley_fmu, runs, segments=0.2))
-        scores.append((found["m"].value - TROLLEY["m"]) / found["m"].standard_error)
-        degrees = found.stages[0].uncertainty.degrees_of_freedom
+        result = fmuid.identify(of_trolley(trolley_fmu, runs, segments=0.2))
+        scores.append((result["m"].value - TROLLEY["m"]) / result["m"].standard_error)
+        degrees = result.stages[0].uncertainty.degrees_of_freedom
         assert degrees is None or degrees < 300 - 60  # None: sigma was given
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.7
 
@@ -169,10 +169,10 @@ def test_the_check_says_why_a_run_cannot_be_simulated_open_loop(pendulum_fmu, pe
 
     model = {"plant": load_fmu(pendulum_fmu)}
     findings, _ = check_effects(of_pendulum(pendulum_fmu, pendulum_runs), model)
-    (said,) = [f for f in findings if "open loop" in f.what]
-    assert said.level == "warning"
-    assert "'phi'" in said.what
-    assert 'segments = "auto"' in said.fix
+    (finding,) = [f for f in findings if "open loop" in f.what]
+    assert finding.level == "warning"
+    assert "'phi'" in finding.what
+    assert 'segments = "auto"' in finding.fix
     findings, _ = check_effects(of_pendulum(pendulum_fmu, pendulum_runs, segments=0.5), model)
     assert not [f for f in findings if "open loop" in f.what]
     quiet = {"run_0": driven(0, duration=4.0, drift=0.0)}
@@ -212,12 +212,12 @@ def test_a_free_parameter_that_is_an_initial_state_is_refused(pendulum_fmu, pend
 
 def test_an_observer_keeps_the_pendulum_at_its_measurement(pendulum_fmu, pendulum_runs):
     watched = of_pendulum(pendulum_fmu, pendulum_runs, observer=True)
-    found = fmuid.identify(watched)
+    result = fmuid.identify(watched)
     for name, truth in PENDULUM.items():
         if name != "d":
-            assert found[name].value == pytest.approx(truth, rel=0.03)
-    assert {"observer[phi,phi]", "observer[w,phi]"} <= set(found.parameters)
-    assert fmuid.validate(found, watched)["run_1", "phi"].rmse < 3e-3  # the start, which no sample corrects, too
+            assert result[name].value == pytest.approx(truth, rel=0.03)
+    assert {"observer[phi,phi]", "observer[w,phi]"} <= set(result.parameters)
+    assert fmuid.validate(result, watched)["run_1", "phi"].rmse < 3e-3  # the start, which no sample corrects, too
     gain = {"phi": {"phi": 0.4}, "w": {"phi": 20.0}}
     given = fmuid.identify(of_pendulum(pendulum_fmu, pendulum_runs, observer=gain))
     assert given["J"].value == pytest.approx(PENDULUM["J"], rel=0.05)

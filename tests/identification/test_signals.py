@@ -95,9 +95,9 @@ def test_missing_samples_stay_missing():
     time = np.arange(0.0, 1.0, 1e-3)
     wave = np.sin(7 * time)
     wave[300:305] = np.nan
-    found = LowPass(50.0)(time, wave)
-    assert np.flatnonzero(np.isnan(found)).tolist() == [300, 301, 302, 303, 304]
-    np.testing.assert_allclose(found[310:900], np.sin(7 * time[310:900]), atol=1e-3)
+    filtered = LowPass(50.0)(time, wave)
+    assert np.flatnonzero(np.isnan(filtered)).tolist() == [300, 301, 302, 303, 304]
+    np.testing.assert_allclose(filtered[310:900], np.sin(7 * time[310:900]), atol=1e-3)
 
 
 def test_uneven_times_are_not_filtered():
@@ -106,7 +106,7 @@ def test_uneven_times_are_not_filtered():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('derivative_of = "q"\nfilter', 'derivative_of = "p"\nfilter', "'p' is not measured"),
         ("[signals.w]", "[signals.q]", "is measured already"),
@@ -115,8 +115,8 @@ def test_uneven_times_are_not_filtered():
         ("filter = 12", "filter = 400", "does not fit samples"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(inverse, old, new, said):
+def test_options_that_make_no_sense_are_refused(inverse, old, new, message):
     wrong = inverse / "wrong.toml"
     wrong.write_text((inverse / "campaign.toml").read_text().replace(old, new, 1))
-    with pytest.raises(CampaignError, match=said):
+    with pytest.raises(CampaignError, match=message):
         fmuid.load_campaign(wrong)

@@ -40,11 +40,11 @@ def accuracy_of(model, sigma, **options):
 @pytest.mark.parametrize("sigma", [1e-1, 1e-3, 1e-5, 1e-6])
 def test_a_prediction_is_solved_as_well_as_its_noise_asks_for(sigma):
     model = Solved(worse=3.0)
-    case, found = accuracy_of(model, sigma)
-    (case,) = found.applied([case])
+    case, accuracy = accuracy_of(model, sigma)
+    (case,) = accuracy.applied([case])
     error = model.simulate(case.task, {"a": 1.0}) - np.exp(-TIME)
     assert np.linalg.norm(error) / sigma < 2.0 * UNSEEN
-    assert not found.until
+    assert not accuracy.until
     if sigma == 1e-1:
         assert case.task.tolerance is None  # the model's own is good enough
         assert model.asked == pytest.approx([1e-4, 1e-5, 1e-4])
@@ -52,19 +52,19 @@ def test_a_prediction_is_solved_as_well_as_its_noise_asks_for(sigma):
 
 def test_a_diagnosis_begins_looser():
     model = Solved(worse=3.0)
-    _, found = accuracy_of(model, 10.0, loosest=(3e-3, 1e-3, 1e-4))
-    assert found.tolerances == {"run": 3e-3}
+    _, accuracy = accuracy_of(model, 10.0, loosest=(3e-3, 1e-3, 1e-4))
+    assert accuracy.tolerances == {"run": 3e-3}
 
 
 def test_a_run_that_never_settles_is_left_out_from_where_it_goes_astray():
-    _, found = accuracy_of(Solved(worse=1.0, rate=20.0), 1e-3)
-    assert 0.5 < found.until["run"] < 2.0
-    assert "cannot be predicted from" in found.findings[0]
+    _, accuracy = accuracy_of(Solved(worse=1.0, rate=20.0), 1e-3)
+    assert 0.5 < accuracy.until["run"] < 2.0
+    assert "cannot be predicted from" in accuracy.findings[0]
 
 
 def test_a_model_without_a_tolerance_is_left_alone():
     case, _ = accuracy_of(Solved(worse=3.0), 1.0)
     plain = replace(case, simulator=Solved(3.0, default_tolerance=None))
-    found = solver_accuracy([plain], {"a": 1.0}, [{"a": 1.0}], in_process)
-    assert (found.tolerances, found.until) == ({}, {})
+    accuracy = solver_accuracy([plain], {"a": 1.0}, [{"a": 1.0}], in_process)
+    assert (accuracy.tolerances, accuracy.until) == ({}, {})
     assert plain.simulator.asked == []

@@ -75,8 +75,8 @@ PROBLEMS = {
 def posed(analytic):
     def of(known):
         def errors(time, inputs, p):
-            found = known.errors(p["a"], p["b"])
-            return None if found is None else dict(zip(signals, found, strict=True))
+            errors = known.errors(p["a"], p["b"])
+            return None if errors is None else dict(zip(signals, errors, strict=True))
 
         signals = [f"f{k}" for k in range(len(known.errors(0.1, 0.1)))]
         case = measured_case(

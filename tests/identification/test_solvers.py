@@ -207,21 +207,21 @@ def test_lexicographic_order_spends_only_what_the_first_leaves_free(analytic):
     problem = curve(
         analytic, both, ["a", "b"], [200.0, 3.0], criteria=criteria, combination=Combination("lexicographic")
     )
-    found = identify(problem, with_uncertainty=False).parameters
-    assert found["a"] == pytest.approx(3.0, abs=0.05)
-    assert found["a"] + found["b"] == pytest.approx(2.0, abs=0.02)
+    parameters = identify(problem, with_uncertainty=False).parameters
+    assert parameters["a"] == pytest.approx(3.0, abs=0.05)
+    assert parameters["a"] + parameters["b"] == pytest.approx(2.0, abs=0.02)
 
 
 def test_p_norm_lies_between_the_sum_and_the_maximum(analytic):
     y = [0.0, 0.0, 0.0, 4.0]
     level = lambda time, inputs, p: {"y": p["a"]}  # noqa: E731
     spread = [CriterionSpec("y", "maximum", start_time=t - 0.1, stop_time=t + 0.1) for t in (0, 1 / 3, 2 / 3, 1)]
-    found = []
+    estimates = []
     for p in (2.0, 6.0, 60.0):
         problem = curve(analytic, level, ["a"], y, criteria=spread, combination=Combination("p_norm", p))
-        found.append(identify(problem, solver="sbplx", with_uncertainty=False).parameters["a"])
-    assert found[0] == pytest.approx(1.0, abs=1e-3)
-    assert found[0] < found[1] < found[2] < 2.0
+        estimates.append(identify(problem, solver="sbplx", with_uncertainty=False).parameters["a"])
+    assert estimates[0] == pytest.approx(1.0, abs=1e-3)
+    assert estimates[0] < estimates[1] < estimates[2] < 2.0
 
 
 @pytest.mark.parametrize("solver", ["trf", "dfols", "bobyqa", "nelder_mead", "cobyla", "slsqp", "crs2", "direct"])
@@ -320,11 +320,11 @@ def test_an_equality_is_met(analytic, solver):
     constraint = Constraint.from_mapping({"expression": "a * b", "equal": 2.0})
     specs = [ParameterSpec("a", 1.5, 0.5, 4.0), ParameterSpec("b", 1.5, 0.5, 4.0)]
     problem = curve(analytic, line, ["a", "b"], [2.0, 0.5], constraints=[constraint], specs=specs)
-    found = identify(problem, solver=solver, with_uncertainty=False).parameters
+    parameters = identify(problem, solver=solver, with_uncertainty=False).parameters
     grid = np.linspace(0.5, 4.0, 100_001)
     nearest = grid[np.argmin((grid - 2.0) ** 2 + (2.0 / grid - 0.5) ** 2)]
-    assert found["a"] * found["b"] == pytest.approx(2.0, abs=1e-4)
-    assert found["a"] == pytest.approx(nearest, abs=1e-2)
+    assert parameters["a"] * parameters["b"] == pytest.approx(2.0, abs=1e-4)
+    assert parameters["a"] == pytest.approx(nearest, abs=1e-2)
 
 
 @pytest.mark.parametrize(
@@ -501,7 +501,7 @@ def nowhere(time, prediction, measured):
 
 @pytest.mark.parametrize("solver", ["trf", "bobyqa", "sbplx"])
 @pytest.mark.parametrize(
-    ("posed", "said"),
+    ("posed", "message"),
     [
         ({"tie": {"d": "0.7 + 0*log(34 - k)"}}, "'0.7 + 0*log(34 - k)' has no value"),
         ({"constraints": [Constraint("c", parse("sqrt(34 - k)"), minimum=0.0)]}, "'sqrt(34 - k)' has no value"),
@@ -511,7 +511,9 @@ def nowhere(time, prediction, measured):
     ],
     ids=["tie", "constraint", "raising", "ragged", "nowhere"],
 )
-def test_a_point_without_a_value_has_failed_and_the_search_goes_on(msd, msd_truth, tmp_path, solver, posed, said):
+def test_a_point_without_a_value_has_failed_and_the_search_goes_on(
+    msd, msd_truth, tmp_path, solver, posed, message
+):
     if "constraints" in posed and solver == "trf":  # it takes none
         solver = "slsqp"
     exact = msd()
@@ -533,5 +535,5 @@ def test_a_point_without_a_value_has_failed_and_the_search_goes_on(msd, msd_trut
     stage = identify(problem, solver=solver, options={"starts": 3}, out=tmp_path).stages[0]
     assert stage.parameters["k"] == pytest.approx(30.0, rel=1e-3)
     failures = {row.failure for row in read_history(tmp_path)["identification"].rows if row.failure}
-    assert bool(failures) is (said is not None)
-    assert all(said in failure for failure in failures)
+    assert bool(failures) is (message is not None)
+    assert all(message in failure for failure in failures)

@@ -1,4 +1,4 @@
-"""Two resistors and a capacitor, from Modelica to the report: what cannot be told apart is said, by its combination."""
+"""Two resistors and a capacitor, from Modelica to the report: parameters that cannot be separated are reported with their combination."""
 
 import json
 from pathlib import Path
@@ -49,9 +49,9 @@ def test_the_combination_is_named_before_and_after_the_run(folder, capsys):
     assert FINDING in stage["warnings"]
     for estimate in stage["estimates"]:
         assert (estimate["standard_error"], estimate["interval"]) == (None, None)
-    found = stage["parameters"]
-    assert found["R1"] * found["C"] == pytest.approx(1.0, rel=5e-3)
-    assert found["R2"] * found["C"] == pytest.approx(2.0, rel=5e-3)
+    parameters = stage["parameters"]
+    assert parameters["R1"] * parameters["C"] == pytest.approx(1.0, rel=5e-3)
+    assert parameters["R2"] * parameters["C"] == pytest.approx(2.0, rel=5e-3)
     assert FINDING in (out / "report" / "index.html").read_text()
 
 

@@ -94,7 +94,7 @@ def test_at_an_active_constraint_standard_errors_are_those_along_it(analytic, ex
     y = 2 + 0.5 * TIME + 0.1 * np.random.default_rng(0).standard_normal(TIME.size)
     design = np.column_stack([np.ones_like(TIME), TIME])
     covariance = 0.01 * np.linalg.inv(design.T @ design)
-    # One standard error beside what the expression is without the constraint.
+    # One standard error away from the value without the constraint.
     free = float(across @ np.linalg.lstsq(design, y)[0])
     beside = (1.0 if limit in ("min", "inactive") else -1.0) * np.sqrt(across @ covariance @ across)
     table = {"expression": expression, "max" if limit == "inactive" else limit: free + beside}
@@ -124,9 +124,9 @@ def test_an_active_constraint_leaves_a_degree_of_freedom_to_the_noise(analytic):
     specs = [ParameterSpec("a", 1.0), ParameterSpec("b", 1.0)]
     held = [Constraint.from_mapping({"expression": "a - 4*b", "equal": 0.1})]
     for constraints, parameters in (([], 2), (held, 1)):
-        found = identify(Problem([case], specs, constraints=constraints)).stages[0].uncertainty
-        effective = sum(w.effective for w in found.whiteness)
-        assert found.degrees_of_freedom == pytest.approx(effective - parameters)
+        uncertainty = identify(Problem([case], specs, constraints=constraints)).stages[0].uncertainty
+        effective = sum(w.effective for w in uncertainty.whiteness)
+        assert uncertainty.degrees_of_freedom == pytest.approx(effective - parameters)
 
 
 def test_the_standard_error_of_few_samples_is_that_of_their_mean(analytic):
@@ -134,8 +134,8 @@ def test_the_standard_error_of_few_samples_is_that_of_their_mean(analytic):
     y = 2 + 0.1 * np.random.default_rng(0).standard_normal(5)
     level = analytic(lambda time, inputs, p: {"y": p["a"] + 0 * time}, ["a"])
     case = measured_case("run", level, Task(np.arange(5.0), {}, ("y",)), {"y": y})
-    found = identify(Problem([case], [ParameterSpec("a", 1.0)])).stages[0]
-    assert found["a"].standard_error == pytest.approx(np.std(y, ddof=1) / np.sqrt(5), rel=1e-6)
+    stage = identify(Problem([case], [ParameterSpec("a", 1.0)])).stages[0]
+    assert stage["a"].standard_error == pytest.approx(np.std(y, ddof=1) / np.sqrt(5), rel=1e-6)
 
 
 def coverage(draws, colour):
@@ -223,11 +223,11 @@ def test_two_resistors_and_a_capacitor_are_not_separately_identifiable(analytic)
     ]
     y = divider(TIME, {}, truth)["y"] + noise
     _, stage = fitted(analytic, divider, truth, y, sigma=1e-3, specs=specs)
-    found = stage.uncertainty.identifiability
-    assert found.rank == 2
-    assert found.undetermined == ("R1", "R2", "C")
-    assert found.combinations == ("R1*C", "R2*C")
-    assert str(found) in stage.warnings
+    identifiability = stage.uncertainty.identifiability
+    assert identifiability.rank == 2
+    assert identifiability.undetermined == ("R1", "R2", "C")
+    assert identifiability.combinations == ("R1*C", "R2*C")
+    assert str(identifiability) in stage.warnings
     assert stage["R1"].interval is None
     assert stage["R1"].value * stage["C"].value == pytest.approx(1.0, rel=0.01)
 
@@ -243,9 +243,9 @@ def test_a_rotor_spun_down_by_friction_shows_only_the_ratio(analytic):
 def test_a_sum_is_named_as_a_sum_and_a_dead_parameter_as_dead(analytic):
     both = lambda time, inputs, p: {"y": (p["a"] + p["b"]) * time + p["c"]}  # noqa: E731
     _, stage = fitted(analytic, both, ["a", "b", "c", "d"], 3 * TIME + 1)
-    found = stage.uncertainty.identifiability
-    assert found.undetermined == ("a", "b", "d")
-    assert found.combinations == ("a + b",)
+    identifiability = stage.uncertainty.identifiability
+    assert identifiability.undetermined == ("a", "b", "d")
+    assert identifiability.combinations == ("a + b",)
     design = np.column_stack([TIME, np.ones_like(TIME)])
     expected = 0.1 * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])  # by the sigma that is given
     assert stage["c"].standard_error == pytest.approx(expected, rel=1e-4)
@@ -396,5 +396,5 @@ def test_the_worst_case_of_a_curved_criterion_is_found_by_optimisation(analytic)
     data = {"y": y - np.mean(y) + 1.0, "z": np.zeros(TIME.size)}
     case = measured_case("run", model, task, data, sigma={"y": 0.2, "z": 1.0}, criteria=criteria)
     asked = AnalysisSpec(monte_carlo=3)
-    found = identify(Problem([case], [ParameterSpec("a", 0.9)]), analyses=asked).stages[0].spread
-    assert found[1].worst == pytest.approx(2.0, abs=0.01)
+    worst = identify(Problem([case], [ParameterSpec("a", 0.9)]), analyses=asked).stages[0].spread
+    assert worst[1].worst == pytest.approx(2.0, abs=0.01)

@@ -58,8 +58,8 @@ def test_joints_get_their_friction_and_the_rest_stays(tmp_path: Path) -> None:
     joints = {"shoulder": {"friction": "tau_c", "damping": "d"}, "elbow": {"friction": "0.5*tau_c"}}
     text = described(RobotSpec(tmp_path / "arm.urdf", joints), {"tau_c": 0.3, "d": 0.02})
     root = ElementTree.fromstring(text)
-    found = {j.get("name"): j.find("dynamics").attrib for j in root.iter("joint")}  # type: ignore[union-attr]
-    assert found == {
+    dynamics = {j.get("name"): j.find("dynamics").attrib for j in root.iter("joint")}  # type: ignore[union-attr]
+    assert dynamics == {
         "shoulder": {"friction": "0.3", "damping": "0.02"},
         "elbow": {"friction": "0.15", "damping": "9"},
     }

@@ -177,6 +177,6 @@ def test_a_runaway_plant_is_recognised_although_a_parameter_gives_its_start_valu
     assert "fixed: x_start (does not affect any measured output)" in out
     assert load_campaign("campaign").stages["all"].segments == "auto"
     assert run(["identify", "campaign", "--no-report", "--quiet", "--workers", "0"]) == 0
-    found = Result.from_json("runs/campaign")
-    assert found["b"].value == pytest.approx(15.0, rel=0.05)
-    assert found["k"].value == pytest.approx(2.4, rel=0.05)
+    result = Result.from_json("runs/campaign")
+    assert result["b"].value == pytest.approx(15.0, rel=0.05)
+    assert result["k"].value == pytest.approx(2.4, rel=0.05)

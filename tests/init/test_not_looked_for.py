@@ -52,11 +52,11 @@ def test_a_model_without_units_has_no_places_inside(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     level = 1 + 0.1 * np.sin(TIME)
-    out, found = init("Tank", TANK.format(m="", m2="", m3s=""), level, "time,u,h,wind [m/s]", capsys)
+    out, findings = init("Tank", TANK.format(m="", m2="", m3s=""), level, "time,u,h,wind [m/s]", capsys)
     line = "not looked for: effects inside the model (h has no unit, so no balance of a quantity is recognised); "
     assert line + 'write units in the model, as in Real h(unit = "m")' in out
     assert "columns that nothing uses: wind (" in out
-    assert [f["what"] for f in found] == ["effects inside the model"]
+    assert [f["what"] for f in findings] == ["effects inside the model"]
     assert run(["effects", "Tank.mo"]) == 0
     assert line in capsys.readouterr().out
     assert run(["effects", "campaign", "--workers", "0"]) == 0
@@ -74,8 +74,8 @@ def test_a_sensor_that_shows_no_sign(
     monkeypatch.chdir(tmp_path)
     x = 0.1 * np.sin(5 * TIME)
     shown = np.abs(x) if absolute else x
-    out, found = init("Swing", SWING, shown, "time,u [N],x [m],spare [1]", capsys)
+    out, findings = init("Swing", SWING, shown, "time,u [N],x [m],spare [1]", capsys)
     assert (
         "not looked for: the sign of x (it never changes in the log, but does in the model)" in out
     ) == absolute
-    assert [f["what"] for f in found] == (["the sign of x"] if absolute else [])
+    assert [f["what"] for f in findings] == (["the sign of x"] if absolute else [])

@@ -35,13 +35,13 @@ def course(power, air, wall):
         flow = 24.0 * (x[0] - x[1])
         return np.array([(p - flow) / 4e3, (flow - 7.2 * (x[1] - 293.0)) / 2e4])
 
-    x, found = np.array([air, wall]), []
+    x, states = np.array([air, wall]), []
     for p in power:
-        found.append(x[0])
+        states.append(x[0])
         for _ in range(8):
             a = slope(x, p)
             x = x + 2.5 * slope(x + 1.25 * a, p)
-    return np.array(found)
+    return np.array(states)
 
 
 def logs(folder: Path, warm: float, repeats: int = 2, wall: float = 0.0) -> list[Path]:
@@ -72,19 +72,19 @@ def test_start_states_are_estimated_where_runs_start_elsewhere(tmp_path):
     assert result.parameters["G"] == pytest.approx(24.0, rel=0.02)
     subject = subject_of(with_catalogue(load_campaign(tmp_path / "room"), load_simulator), load_simulator)
     assert all(run.n_repeats == 2 for run in subject.observed.runs)
-    found = fmuid.diagnose(campaign, law=False).diagnosis
-    assert not found.gap.present
-    assert any("fitted to each run" in note for note in found.notes)
+    diagnosis = fmuid.diagnose(campaign, law=False).diagnosis
+    assert not diagnosis.gap.present
+    assert any("fitted to each run" in note for note in diagnosis.notes)
 
 
 @pytest.mark.parametrize("wall", [6.0, 0.0])
 def test_walls_that_were_warm_before_the_log_began_are_no_effect(tmp_path, wall):
     """The air starts as in the model; only what follows shows where the wall started."""
     campaign = fmuid.start(logs(tmp_path, 0.0, wall=wall), model=tmp_path / "Room.mo", out=tmp_path / "room")
-    found = fmuid.diagnose(campaign, law=False).diagnosis
-    assert found.verdict.kind == "complete"
-    assert any("start elsewhere than the model" in note for note in found.notes) is bool(wall)
-    assert found.model["G"] == pytest.approx(24.0, rel=0.02)
+    diagnosis = fmuid.diagnose(campaign, law=False).diagnosis
+    assert diagnosis.verdict.kind == "complete"
+    assert any("start elsewhere than the model" in note for note in diagnosis.notes) is bool(wall)
+    assert diagnosis.model["G"] == pytest.approx(24.0, rel=0.02)
 
 
 def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):

@@ -73,8 +73,8 @@ def test_the_convention_of_a_log_is_recognised(model: Fmu, how, timing, signals)
     u = command()
     task = Task(TIME, {"u": u}, OUTPUTS)
     seen = [SeenRun(model, task, noisy(plant(model, u, **how)), in_process)]
-    found = chosen(timing_conventions(seen, [model.variables[n] for n in ("R", "C", "G")]))
-    assert (found.timing, dict(found.signals)) == (timing, signals)
+    convention = chosen(timing_conventions(seen, [model.variables[n] for n in ("R", "C", "G")]))
+    assert (convention.timing, dict(convention.signals)) == (timing, signals)
 
 
 @pytest.mark.parametrize(("interpolation", "timing"), [("hold", "held"), ("linear", "linear")])
@@ -82,9 +82,9 @@ def test_the_convention_of_a_noisy_log_is_seen_from_sample_to_sample(model: Fmu,
     u = command()
     noise = noisy(plant(model, u, interpolation=interpolation), 0.25)
     seen = [SeenRun(model, Task(TIME, {"u": u}, OUTPUTS), noise, in_process)]
-    found = timing_conventions(seen, [model.variables[n] for n in ("R", "C", "G")])
-    assert max(c.worse for c in found) < 1.25  # the noise exceeds what the timing does
-    assert chosen(found).timing == timing
+    conventions = timing_conventions(seen, [model.variables[n] for n in ("R", "C", "G")])
+    assert max(c.worse for c in conventions) < 1.25  # the noise exceeds what the timing does
+    assert chosen(conventions).timing == timing
 
 
 @pytest.mark.parametrize("lost", [57, None])
@@ -96,8 +96,8 @@ def test_a_row_that_a_log_has_lost_is_reported(model: Fmu, lost) -> None:
     count = int(keep.sum())
     task = Task(TIME[:count], {"u": ramp[keep]}, OUTPUTS, interpolation="linear")
     seen = SeenRun(model, task, y[:, keep], in_process)
-    found = lost_rows([seen.refitted([model.variables[n] for n in ("R", "C", "G")])], ["log"])
-    assert [row.sample for row in found] == ([lost] if lost else [])
+    rows = lost_rows([seen.refitted([model.variables[n] for n in ("R", "C", "G")])], ["log"])
+    assert [row.sample for row in rows] == ([lost] if lost else [])
 
 
 TOML = """

@@ -19,20 +19,20 @@ FILES = {
 
 
 def imported(module: str) -> set[str]:
-    """Modules of ours that a module imports anywhere in it, for types only too."""
-    found = set()
+    """Return the modules of fmuid that a module imports, also those for types only."""
+    modules = set()
     for node in ast.walk(ast.parse(FILES[module].read_text())):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module} has a relative import"
             names = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= (names & FILES.keys()) or {str(node.module)}
-    return found & FILES.keys()
+            modules |= (names & FILES.keys()) or {str(node.module)}
+    return modules & FILES.keys()
 
 
 def package_of(module: str) -> str:
-    """Its folder; the public face `fmuid` and `diagnosis_pipeline` beside it are rooms of their own."""
+    """Return its folder; `fmuid` and `diagnosis_pipeline` count as packages of their own."""
     inside = FILES[module].name == "__init__.py" or module.count(".") < 2
     return module if inside else module.rpartition(".")[0]
 
@@ -46,8 +46,8 @@ def test_no_module_and_no_package_imports_itself_through_others(imports: dict[st
     TopologicalSorter(imports).prepare()  # raises CycleError, which names the circle
     packages: dict[str, set[str]] = {}
     for module, others in imports.items():
-        own = package_of(module)
-        packages.setdefault(own, set()).update({package_of(other) for other in others} - {own})
+        home = package_of(module)
+        packages.setdefault(home, set()).update({package_of(other) for other in others} - {home})
     TopologicalSorter(packages).prepare()
 
 

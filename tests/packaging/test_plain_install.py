@@ -38,10 +38,10 @@ def fmuid(folder: Path, *arguments: str) -> str:
 
 def test_an_fmu_is_identified_and_diagnosed_without_extras(tmp_path: Path) -> None:
     fmuid(tmp_path, "demo")  # makes the FMU and logs, then runs init and diagnose
-    found = json.loads((tmp_path / "fmuid-demo" / "diagnosis" / "diagnosis.json").read_text())
-    assert found["verdict"]["effects"] == ["delay@tau"]
-    assert found["model"]["standard_errors"].keys() == found["model"]["parameters"].keys()
-    assert all(0.0 < error < 0.1 for error in found["model"]["standard_errors"].values())
+    diagnosis = json.loads((tmp_path / "fmuid-demo" / "diagnosis" / "diagnosis.json").read_text())
+    assert diagnosis["verdict"]["effects"] == ["delay@tau"]
+    assert diagnosis["model"]["standard_errors"].keys() == diagnosis["model"]["parameters"].keys()
+    assert all(0.0 < error < 0.1 for error in diagnosis["model"]["standard_errors"].values())
     assert (tmp_path / "fmuid-demo" / "diagnosis" / "corrected" / "campaign.toml").is_file()
     identified = fmuid(tmp_path, "identify", "fmuid-demo/campaign", "--out", "run")
     assert "shaft.c" in identified

@@ -18,7 +18,7 @@ def test_ranges_for_users_and_one_version_of_each_for_the_set_up() -> None:
     pins = [Requirement(line) for line in (ROOT / "constraints.txt").read_text().splitlines() if line[:1] != "#"]
     versions = {canonicalize_name(pin.name): str(pin.specifier).removeprefix("==") for pin in pins}
     required = [Requirement(r) for r in project["dependencies"]]
-    extras = [Requirement(r) for own in project["optional-dependencies"].values() for r in own]
+    extras = [Requirement(r) for extra in project["optional-dependencies"].values() for r in extra]
     for requirement in [*required, *extras]:
         name = canonicalize_name(requirement.name)
         if name != "fmuid":

@@ -46,8 +46,8 @@ def test_everything_is_in_the_wheel(wheel: Path) -> None:
     assert "fmuid/simulation/_stepper.abi3.so" in packed  # compiled, for every version of Python
     assert "-cp311-abi3-" in wheel.name
     assert [name for name in packed if re.search("blind|virtual_rig|emps|go1|reference", name.lower())] == []
-    own = {name for name in packed if not name.split("/")[0].endswith(".dist-info")}
-    assert {name.split("/")[0] for name in own} == set(SOURCES.values())
+    packaged = {name for name in packed if not name.split("/")[0].endswith(".dist-info")}
+    assert {name.split("/")[0] for name in packaged} == set(SOURCES.values())
 
 
 @pytest.mark.slow
@@ -64,8 +64,10 @@ def test_from_a_model_to_estimates_without_a_clone(wheel: Path, tmp_path: Path) 
         return ran.stdout
 
     where = [sys.executable, "-c", "import fmuid, fmu_build; print(fmuid.__file__, fmu_build.__file__)"]
-    found = subprocess.run(where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
-    assert all(file.startswith(str(tmp_path / "installed")) for file in found.split())
+    printed = subprocess.run(
+        where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    ).stdout
+    assert all(file.startswith(str(tmp_path / "installed")) for file in printed.split())
     assert "Start a campaign from recorded runs and an FMU" in fmuid("--help")
 
     fmuid("build", "Pendulum", "Pendulum.Setups.TorqueDriven", "--out", ".")

@@ -126,7 +126,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def spoken() -> Callable[[Any], str]:
-    """Return what a screen reader gets of a page, after checks that apply everywhere."""
+    """Return the text of a page for a screen reader, after checks that apply everywhere."""
 
     def tree(page: Any) -> str:
         text = str(page.locator("body").aria_snapshot())

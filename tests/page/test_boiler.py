@@ -107,12 +107,12 @@ def test_from_raw_logs_to_the_missing_loss_and_the_next_run(boiler: Path, opened
     # Diagnose, with progress on the way.
     diagnosis = run.get_by_role("region", name="Diagnosis")
     diagnosis.get_by_role("status").evaluate(
-        "(e) => { window.said = []; new MutationObserver(() => window.said.push(e.textContent))"
+        "(e) => { window.spoken = []; new MutationObserver(() => window.spoken.push(e.textContent))"
         ".observe(e, { childList: true, characterData: true, subtree: true }); }"
     )
     diagnosis.get_by_role("button", name="Diagnose").click()
     diagnosis.get_by_role("status").get_by_text(re.compile("^Done")).wait_for()
-    assert [words for words in page.evaluate("window.said") if re.match(r"[1-9]\d? %: ", words)]
+    assert [words for words in page.evaluate("window.spoken") if re.match(r"[1-9]\d? %: ", words)]
     verdict = json.loads((boiler / "runs" / "campaign-diagnosis" / "diagnosis.json").read_text())["verdict"]
     assert verdict["effects"] == ["loss@T_boiler.balance"]
     diagnosis.get_by_role("button", name="Look at the diagnosis").click()
@@ -120,11 +120,11 @@ def test_from_raw_logs_to_the_missing_loss_and_the_next_run(boiler: Path, opened
     # Look: the sentence, and the effect's slider; without the effect, the residual grows.
     look = page.get_by_role("tabpanel", name="Look")
     look.get_by_role("status").get_by_text(re.compile("Loss at T_boiler")).wait_for()
-    said = look.get_by_text(re.compile("RMS of the residual"))
-    expect(said).to_have_text(re.compile("Boiler temp: [0-9.]+ °C"))
+    residual_rms = look.get_by_text(re.compile("RMS of the residual"))
+    expect(residual_rms).to_have_text(re.compile("Boiler temp: [0-9.]+ °C"))
 
     def rms() -> float:
-        match = re.search(r"Boiler temp: ([\d.e-]+) °C", said.inner_text())
+        match = re.search(r"Boiler temp: ([\d.e-]+) °C", residual_rms.inner_text())
         return float(match[1]) if match else 0.0
 
     corrected = rms()

@@ -69,10 +69,10 @@ def test_a_search_is_steered_and_its_result_moved(
     page.get_by_role("button", name="Look at the result").click()
     look = page.get_by_role("tabpanel", name="Look")
     look.get_by_text(re.compile("G = ")).wait_for()
-    said = look.get_by_text(re.compile("RMS of the residual"))
-    expect(said).to_have_text(re.compile("probe: [0-9.]+ degC"))
+    residual_rms = look.get_by_text(re.compile("RMS of the residual"))
+    expect(residual_rms).to_have_text(re.compile("probe: [0-9.]+ degC"))
     assert 'slider "C"' in spoken(page)
-    before = said.inner_text()
+    before = residual_rms.inner_text()
     slider = look.get_by_role("slider", name="C", exact=True)
     slider.focus()
     for _ in range(5):
@@ -82,7 +82,7 @@ def test_a_search_is_steered_and_its_result_moved(
         "(e) => e.textContent.startsWith('RMS') && e.textContent !== before)",
         arg=before,
     )
-    rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) degC", before + said.inner_text())]
+    rms = [float(m) for m in re.findall(r"probe: ([\d.e-]+) degC", before + residual_rms.inner_text())]
     assert rms[1] > rms[0]
 
 
@@ -114,8 +114,8 @@ def test_a_running_search_is_paused_resumed_and_steered(tank: Path, opened: Open
     status = page.get_by_role("tabpanel", name="Run").get_by_role("status").first  # of the search
 
     def evaluations() -> int:
-        found = re.search(r"(\d+) evaluations", status.inner_text())
-        return int(found[1]) if found else 0
+        count = re.search(r"(\d+) evaluations", status.inner_text())
+        return int(count[1]) if count else 0
 
     page.get_by_role("button", name="Start").click()
     status.get_by_text(re.compile("Running: stage all")).wait_for()

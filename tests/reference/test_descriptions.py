@@ -76,7 +76,7 @@ def test_dependencies_are_true(name):
     order = [None] * (model.n_x + model.n_u)
     for n in (*states, *inputs):
         order[known[n].index + (model.n_x if n in inputs else 0)] = n
-    found = {"constant": 0, "fixed": 0, "dependent": 0}
+    counts = {"constant": 0, "fixed": 0, "dependent": 0}
     for i, v in enumerate(unknowns):
         kinds = dict(zip(v.depends_on, v.dependency_kinds, strict=True))
         for j, n in enumerate(order):
@@ -84,10 +84,10 @@ def test_dependencies_are_true(name):
             if n not in kinds:
                 assert not here.any(), (v.name, n)
             else:
-                found[kinds[n]] += 1
+                counts[kinds[n]] += 1
                 if kinds[n] != "dependent":
                     assert np.ptp(here) == 0, (v.name, n)
-    assert min(found.values()) > 0
+    assert min(counts.values()) > 0
 
 
 def test_units_have_their_base_units():

@@ -61,8 +61,8 @@ STRIBECK = {"stribeck": 0.05, "stribeck_speed": 50.0, "stribeck_exponent": 1.0, 
     ],
 )
 def test_current_at_constant_speed(effect_fmus, port, parameters, friction):
-    own = {f"{port}.{name}": value for name, value in parameters.items()}
-    current = steady_current(effect_fmus["FreeShaft"], 40.0, own)
+    at_port = {f"{port}.{name}": value for name, value in parameters.items()}
+    current = steady_current(effect_fmus["FreeShaft"], 40.0, at_port)
 
     assert 0.7 * current == pytest.approx(friction, rel=0.01)
 

@@ -23,9 +23,9 @@ def test_the_damping_of_the_gear_is_identified(shipped):
     criteria = [CriterionSpec("tau_sensor", options={"whiten": "sigma"})]
     case = measured_case("step", model, task, {"tau_sensor": noisy}, sigma={"tau_sensor": 0.05}, criteria=criteria)
     problem = Problem([case], [ParameterSpec("d_G", 56.5, 5.0, 500.0, scale="log")])
-    found = identify(problem).stages[0]["d_G"]
-    assert found.standard_error < 0.2
-    assert abs(found.value - TRUTH["d_G"]) < 4 * found.standard_error
+    damping = identify(problem).stages[0]["d_G"]
+    assert damping.standard_error < 0.2
+    assert abs(damping.value - TRUTH["d_G"]) < 4 * damping.standard_error
 
 
 def test_without_a_compiler_the_tests_of_the_actuator_run_on_its_reference_models():

@@ -1,4 +1,4 @@
-"""The Modelica library itself: standard syntax, one class a file, friction elements of one's own trains."""
+"""The Modelica library itself: standard syntax, one class a file, friction elements in new trains."""
 
 from __future__ import annotations
 

@@ -36,8 +36,8 @@ class Model:
         return [tuple({"w": SPEED, "tau": LOAD}[name] for name in names)]
 
     def predict_driven(self, values, drives):
-        own = values.get("effect", 0.0) * self.lacking
-        return [(np.atleast_2d(own + d["port_torque"][0]),) for d in drives]
+        gap = values.get("effect", 0.0) * self.lacking
+        return [(np.atleast_2d(gap + d["port_torque"][0]),) for d in drives]
 
 
 def fitted(name, share):

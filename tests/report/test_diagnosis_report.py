@@ -95,9 +95,11 @@ def test_a_verdict_is_said_as_an_engineer_would():
         "With it, 0.93 of the gap is closed (0.85 to 1.01) on data that were not used.",
         "What is left: 1.3 times the noise, most of it tau_sensor in load_25, speed -1 … 1.",
     ]
-    found = {fact.label: fact for fact in facts(diagnosis | {"verdict": diagnosis["verdict"] | {"stable": False}})}
-    assert found["What is left"].value.startswith("1.3 times the noise")
-    assert found["Stable"].tone == "warn"
+    by_label = {
+        fact.label: fact for fact in facts(diagnosis | {"verdict": diagnosis["verdict"] | {"stable": False}})
+    }
+    assert by_label["What is left"].value.startswith("1.3 times the noise")
+    assert by_label["Stable"].tone == "warn"
 
 
 @pytest.mark.parametrize(
@@ -164,12 +166,12 @@ def test_of_an_unknown_effect_the_closest_is_named_and_nothing_is_called_correct
             effect["closure"]["held_out"] = closes
     diagnosis["port_closures"] = {"gear_friction": 0.62, "torque_sensor": 0.1}
     diagnosis["best"] = {"effects": ["mesh_loss"], "closure": diagnosis["effects"][0]["closure"]}
-    found = {fact.label: fact.value for fact in facts(diagnosis)}
-    assert found["What comes closest"] == (
+    by_label = {fact.label: fact.value for fact in facts(diagnosis)}
+    assert by_label["What comes closest"] == (
         "mesh_loss closes 0.40 (0.85 to 1.01) on held-out data, too little to be named (it takes 0.5); "
         "an arbitrary course over time at gear_friction 0.62"
     )
-    assert found["Gap, in noise floors"] == "9.4 → 6.1 refitted"
+    assert by_label["Gap, in noise floors"] == "9.4 → 6.1 refitted"
     assert [b.label for b in gap_figure(diagnosis).bars] == [
         "nominal model",
         "nominal parameters refitted",

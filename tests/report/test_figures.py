@@ -185,7 +185,7 @@ def test_panels_of_a_run_zoom_together_and_lie_below_each_other_on_a_phone():
     assert sorted(spec["links"].values()) == sorted([f"step {k}" for k in range(3)] * 2)
     assert spec["layout"]["xaxis2"]["matches"] == "x"
     assert spec["layout"]["xaxis6"]["matches"] == "x5"
-    assert spec["layout"]["xaxis3"]["domain"][0] > 0.5  # the second run, beside the first
+    assert spec["layout"]["xaxis3"]["domain"][0] > 0.5  # the second run, to the right of the first
     assert spec["narrow"]["xaxis3"]["domain"][0] == 0.0
     ends = [spec["narrow"][f"yaxis{k}"]["domain"] for k in ("", 2, 3, 4, 5, 6)]
     assert all(upper[0] > lower[1] for upper, lower in pairwise(ends))
@@ -243,10 +243,10 @@ def test_thinning_keeps_the_extremes_and_only_recorded_samples():
 
 def test_milestones_are_improvements_between_start_and_best():
     cost = np.array([100.0, np.nan, 80, 90, 50, 60, 20, 10, 5, 5, 2, 1, 3])
-    found = milestones(cost, 3)
-    assert found == sorted(found)
-    assert len(found) == 3
-    assert all(cost[k] == np.nanmin(cost[: k + 1]) for k in found)
+    rows = milestones(cost, 3)
+    assert rows == sorted(rows)
+    assert len(rows) == 3
+    assert all(cost[k] == np.nanmin(cost[: k + 1]) for k in rows)
     assert milestones(np.array([3.0, 2.0, 1.0])) == [1]
     assert milestones(np.array([3.0, 4.0])) == []
 

@@ -26,7 +26,7 @@ TIME = np.linspace(0.0, 1.0, 51)
 
 @pytest.fixture
 def shown(monkeypatch):
-    """What a kernel of IPython would be told, by type."""
+    """Return the formatters that are registered with IPython, by type."""
     known = {}
 
     def for_type_by_name(module, name, function):
@@ -42,9 +42,9 @@ def shown(monkeypatch):
 
 def pictures(html):
     """Titles of the pictures of an HTML fragment, all of which have to be PNG files."""
-    found = re.findall(r'<img alt="([^"]+)"[^>]* src="data:image/png;base64,([^"]+)">', html)
-    assert all(base64.b64decode(data).startswith(b"\x89PNG") for _, data in found)
-    return [title for title, _ in found]
+    images = re.findall(r'<img alt="([^"]+)"[^>]* src="data:image/png;base64,([^"]+)">', html)
+    assert all(base64.b64decode(data).startswith(b"\x89PNG") for _, data in images)
+    return [title for title, _ in images]
 
 
 def result():
@@ -88,8 +88,8 @@ def test_of_a_validation_the_worst_runs_are_drawn(shown):
 
 def test_of_a_diagnosis_the_gap_and_the_effects_are_drawn(shown):
     diagnosis = SimpleNamespace(to_dict=samples.diagnosis)
-    found = Found(diagnosis, *[None] * 9)
-    titles = pictures(shown[Found](found))
+    diagnosed = Found(diagnosis, *[None] * 9)
+    titles = pictures(shown[Found](diagnosed))
     assert titles[0] == "From the gap to the noise floor"
     assert len(titles) == 2
 

@@ -13,10 +13,10 @@ REPOSITORY = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def folder() -> Path:
-    found = (REPOSITORY / folder_from_environment()).resolve()
-    if not all((found / name).exists() for name in SHA256):
+    path = (REPOSITORY / folder_from_environment()).resolve()
+    if not all((path / name).exists() for name in SHA256):
         pytest.skip("the EMPS data are not there")
-    return found
+    return path
 
 
 def test_both_sets_come_as_open_and_closed_loop(folder: Path) -> None:

@@ -58,8 +58,8 @@ def test_factorisation_grows_linearly():
     def counts(n: int) -> tuple[int, int]:
         pattern = compiled(n).functions["jacobian"].sparsity_out(1)
         start, rows = pattern.colind(), pattern.row()
-        found = plan([rows[start[j] : start[j + 1]] for j in range(pattern.size2())])
-        return found.multiplications, len(found.rows)
+        order = plan([rows[start[j] : start[j + 1]] for j in range(pattern.size2())])
+        return order.multiplications, len(order.rows)
 
     small, large = np.array(counts(50)), np.array(counts(100))
     assert all(large <= 2.1 * small)

@@ -26,12 +26,12 @@ from fmuid.report.plots.figure_data import Figure
 HOW = {"short": 1, "full-once": 2, "full": 3, "broken": 4}
 
 
-def ended(arguments: Sequence[str], said: Path, below: Path, at: int, how: str) -> int:
+def ended(arguments: Sequence[str], log: Path, below: Path, at: int, how: str) -> int:
     """Run a command in a process of its own, and return its exit code; `said` gets what it says."""
     child = os.fork()
     if child:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    with said.open("w") as file:
+    with log.open("w") as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
     arm = ctypes.CDLL(None).failing_writes_arm
@@ -40,7 +40,7 @@ def ended(arguments: Sequence[str], said: Path, below: Path, at: int, how: str) 
     code = run(arguments)
     sys.stdout.flush()
     sys.stderr.flush()
-    said.with_suffix(".count").write_text(str(arm(b"", 0, 0)))
+    log.with_suffix(".count").write_text(str(arm(b"", 0, 0)))
     os._exit(code)
 
 
@@ -48,17 +48,17 @@ def every(
     kind: type[test_survival.Identification | test_survival.Diagnosis], bench: Path, how: str, step: int
 ) -> None:
     """Run the command unharmed, then with every so many operations failing, each in a process of its own."""
-    said, out = bench.parent / "said.txt", bench / "run"
+    log, out = bench.parent / "said.txt", bench / "run"
     last, at = 0, 0
     while at <= last:
-        code = ended(kind.arguments(bench), said, out, at, how)
-        line = {"at": at, "code": code, "said": said.read_text()}
+        code = ended(kind.arguments(bench), log, out, at, how)
+        line = {"at": at, "code": code, "said": log.read_text()}
         if at == 0:
-            last = int(said.with_suffix(".count").read_text())
+            last = int(log.with_suffix(".count").read_text())
         if code:
-            again = ended([*kind.arguments(bench), "--resume"], said, out, 0, how)
-            line["again"] = 0 if "the run is complete" in said.read_text() else again
-        line["found"] = [sorted(kind.found(bench)[0]), kind.found(bench)[1]]
+            again = ended([*kind.arguments(bench), "--resume"], log, out, 0, how)
+            line["again"] = 0 if "the run is complete" in log.read_text() else again
+        line["found"] = [sorted(kind.outcome(bench)[0]), kind.outcome(bench)[1]]
         print(json.dumps(line), flush=True)
         shutil.rmtree(out)
         at += 1 if at == 0 else step

@@ -90,8 +90,8 @@ def test_inputs_of_other_timings_beside_it(path: Path) -> None:
         lines = replace(task, interpolation="band-limited", band_limited=(), linear=("brake",))
         assert error(fmu.simulate(lines, {}), expected) < 1e-3
         whole = Task(TIME, {"F": U, "mode": mode}, ("direct",), interpolation="band-limited")
-        found = fmu.simulate(whole, {})[0]
-    np.testing.assert_allclose(found, 2 * U + np.append(mode[0], mode[:-1]), rtol=1e-12, atol=1e-12)
+        simulated = fmu.simulate(whole, {})[0]
+    np.testing.assert_allclose(simulated, 2 * U + np.append(mode[0], mode[:-1]), rtol=1e-12, atol=1e-12)
 
 
 def test_derivatives_are_those_of_the_same_response(path: Path) -> None:

@@ -73,11 +73,11 @@ def steps(monkeypatch):
 def test_results_are_those_of_whole_runs(path, steps):
     with Fmu(path) as fmu:
         tasks = [task(begin) for begin in (40, 90, 200, 200, 60, 350)]
-        found = [fmu.simulate(one, {"k": 40.0}) for one in tasks]
+        simulated = [fmu.simulate(one, {"k": 40.0}) for one in tasks]
         assert steps[-6:] == [0, 40, 90, 200, 0, 60]
-    for one, y in zip(tasks, found, strict=True):
+    for one, y in zip(tasks, simulated, strict=True):
         np.testing.assert_array_equal(y, alone(path, one, {"k": 40.0}))
-    assert found[0][2, -1] > 2  # there were events
+    assert simulated[0][2, -1] > 2  # there were events
 
 
 def test_other_parameters_inputs_and_groups_begin_anew(path, steps):

@@ -79,13 +79,13 @@ def memory_after(path, counts):
             [measured_case("run", fmu, task, {"x": y[0], "v": y[1]}, sigma={"x": 1e-3, "v": 1e-2})],
             [ParameterSpec("c", 100.0, 10.0, 1000.0), ParameterSpec("d", 0.5, 0.0, 5.0)],
         )
-        rng, found = np.random.default_rng(0), []
+        rng, sizes = np.random.default_rng(0), []
         for k in range(1, counts[-1] + 1):
             assert problem.evaluate(problem.space.start * (1.0 + 1e-3 * rng.standard_normal(2))).ok
             if k in counts:
                 gc.collect()
-                found.append(resident_memory(os.getpid()))
-        return found
+                sizes.append(resident_memory(os.getpid()))
+        return sizes
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux tells")

@@ -102,6 +102,6 @@ def test_validation_and_report_of_a_search_that_failed(bench: Path) -> None:
     crashed = f"{name(bench, 'bad')}: crashed (SIGSEGV) (with c = 150)"
     done = fmuid(bench, "identify", ".", "--out", "again", "--quiet", "--json", "again.json")
     assert (done.returncode, done.stderr) == (1, "")
-    found = json.loads((bench / "again.json").read_text())
-    assert "validation" not in found  # there is no estimate to validate
+    answer = json.loads((bench / "again.json").read_text())
+    assert "validation" not in answer  # there is no estimate to validate
     assert crashed in (bench / "again" / "report" / "index.html").read_text()

@@ -1,4 +1,4 @@
-"""Simulating co-simulation FMUs: what goes in, what comes out, and what is said when it cannot be."""
+"""Simulation of co-simulation FMUs: inputs, outputs and error messages."""
 
 from __future__ import annotations
 

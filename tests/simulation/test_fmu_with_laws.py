@@ -80,10 +80,10 @@ def test_laws_and_their_states_act_as_scipy_says(with_laws, values):
     fmu = Fmu(with_laws)
     task = Task(TIME, {"tau": TORQUE}, OUTPUTS, tolerance=1e-8)
     names = {"drag": DRAG, "size": SIZE, "distance": DISTANCE}
-    found = fmu.simulate(task, {names[n]: v for n, v in values.items()})
+    simulated = fmu.simulate(task, {names[n]: v for n, v in values.items()})
     reference = exact(**values)
-    np.testing.assert_allclose(found, reference, atol=2e-6 * np.abs(reference).max())
-    assert np.abs(found - exact()).max() > 1e-2  # it does act
+    np.testing.assert_allclose(simulated, reference, atol=2e-6 * np.abs(reference).max())
+    assert np.abs(simulated - exact()).max() > 1e-2  # it does act
     assert fmu.renewal == "reset"
 
 
@@ -142,16 +142,16 @@ def test_parameters_vary_as_scipy_says(drive, tmp_path, values):
     target = tmp_path / "Varying.fmu"
     write_fmu_with_laws(Fmu(drive, "model exchange"), list(VARYING.values()), [Added(n, 0.0) for n in ("c.speed", "d.warmth", "J2.time")], target)  # fmt: skip
     fmu, task = Fmu(target), Task(TIME, {"tau": TORQUE}, OUTPUTS, tolerance=1e-8)
-    own = {"c": 12.0, "d": 0.03, "J2": 4e-3}
-    plain = fmu.simulate(task, own)
-    np.testing.assert_array_equal(plain, Fmu(drive, "model exchange").simulate(task, own))
+    of_model = {"c": 12.0, "d": 0.03, "J2": 4e-3}
+    plain = fmu.simulate(task, of_model)
+    np.testing.assert_array_equal(plain, Fmu(drive, "model exchange").simulate(task, of_model))
     x, rows = np.zeros(5), [np.zeros(5)]
     for k, tau in enumerate(TORQUE[:-1]):
 
         def slope(t: float, x: np.ndarray, tau: float = tau) -> np.ndarray:
-            c = own["c"] * (1 + values.get("c.speed", 0.0) * abs(x[3]))
-            d = own["d"] * (1 + values.get("d.warmth", 0.0) * x[4])
-            inertia = own["J2"] * (1 + values.get("J2.time", 0.0) * t)
+            c = of_model["c"] * (1 + values.get("c.speed", 0.0) * abs(x[3]))
+            d = of_model["d"] * (1 + values.get("d.warmth", 0.0) * x[4])
+            inertia = of_model["J2"] * (1 + values.get("J2.time", 0.0) * t)
             moved = PLANTS["DRIVE"].slope(x, [tau], (PLANTS["DRIVE"].nominal[0], c, d, inertia))
             return np.array([*moved, abs(x[2]) - x[4] / 0.2])
 
@@ -159,13 +159,13 @@ def test_parameters_vary_as_scipy_says(drive, tmp_path, values):
         rows.append(x)
     reference = np.array(rows)[:, [2, 3, 1]].T
     for _ in range(2):  # the second time after a reset
-        found = fmu.simulate(task, {**own, **values})
-        np.testing.assert_allclose(found, reference, atol=5e-6 * np.abs(reference).max())
-    assert np.abs(found - plain).max() > 1e-3 * np.abs(plain).max()
-    np.testing.assert_allclose(simulate_fmu(target, task, {**own, **values}, 1e-8), found, atol=1e-9)
+        simulated = fmu.simulate(task, {**of_model, **values})
+        np.testing.assert_allclose(simulated, reference, atol=5e-6 * np.abs(reference).max())
+    assert np.abs(simulated - plain).max() > 1e-3 * np.abs(plain).max()
+    np.testing.assert_allclose(simulate_fmu(target, task, {**of_model, **values}, 1e-8), simulated, atol=1e-9)
     if "c.speed" in values:
         with pytest.raises(SimulationError, match="a parameter whose value is zero cannot vary"):
-            fmu.simulate(task, {**own, **values, "c": 0.0})
+            fmu.simulate(task, {**of_model, **values, "c": 0.0})
 
 
 def test_any_tool_can_run_it_and_copies_start_with_their_values(with_laws, tmp_path):
@@ -240,9 +240,9 @@ def test_expressions_mean_what_modelica_says(drive, tmp_path, text):
     ],
 )
 def test_a_wrong_expression_is_an_error_with_its_place(text, message):
-    with pytest.raises(ModelicaError, match=message) as found:
+    with pytest.raises(ModelicaError, match=message) as refused:
         code_of(text, {"size": Operand("PARAMETER"), "w2": Operand("STATE")}, "[effects.'mine@der(w2)']")
-    assert "mine@der(w2)" in str(found.value)
+    assert "mine@der(w2)" in str(refused.value)
 
 
 def test_an_fmu_without_model_exchange_has_no_places(tmp_path, build):

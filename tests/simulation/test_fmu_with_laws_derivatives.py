@@ -45,10 +45,10 @@ def test_runs_are_differentiated(fmu):
             for sign in (1, -1)
         ]
         expected = (ends[0] - ends[1]) / (2 * size)
-        found = run[3 * (k + 1) : 3 * (k + 2)]
+        slopes = run[3 * (k + 1) : 3 * (k + 2)]
         for row in range(3):
             tolerance = 1e-4 * np.abs(expected[row]).max()
-            np.testing.assert_allclose(found[row], expected[row], atol=tolerance, err_msg=str(direction))
+            np.testing.assert_allclose(slopes[row], expected[row], atol=tolerance, err_msg=str(direction))
 
 
 @pytest.mark.parametrize(

@@ -35,12 +35,12 @@ def work(folder, model, *, resume=False, stop=None):
                 record.keep(job, outcome)
             return outcomes
 
-        found = []
+        courses = []
         for k in range(10):
             if k == stop:
                 raise KeyboardInterrupt
-            found += record.over(runner)([(model, TASK, {"k": float(k)})])
-        return found
+            courses += record.over(runner)([(model, TASK, {"k": float(k)})])
+        return courses
 
 
 @pytest.mark.parametrize(("largest", "kept"), [(2**30, 8), (20_000, 2)])
@@ -51,6 +51,6 @@ def test_a_record_ends_before_it_fills_the_disk_and_the_result_is_the_same(tmp_p
         work(tmp_path, model, stop=8)
     assert (tmp_path / "a.journal").stat().st_size < largest + 1_000
     model.simulated.clear()
-    found = work(tmp_path, model, resume=True)
+    courses = work(tmp_path, model, resume=True)
     assert model.simulated == [float(k) for k in range(kept, 10)]
-    assert all(np.array_equal(f, 2.0 * k * TASK.time[None, :]) for k, f in enumerate(found))
+    assert all(np.array_equal(f, 2.0 * k * TASK.time[None, :]) for k, f in enumerate(courses))

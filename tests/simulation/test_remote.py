@@ -47,15 +47,15 @@ def cluster(environment: None) -> Iterator[LocalCluster]:
 def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
     match request.param:
         case "threads":
-            found = ThreadPoolExecutor(2)
+            pool = ThreadPoolExecutor(2)
         case "processes":
-            found = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
+            pool = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
         case _:
-            with dask_executor(request.getfixturevalue("cluster").scheduler_address) as found:
-                yield found
+            with dask_executor(request.getfixturevalue("cluster").scheduler_address) as pool:
+                yield pool
             return
-    with found:
-        yield found
+    with pool:
+        yield pool
 
 
 def problem(path: Path, **start: float) -> Problem:
@@ -178,7 +178,7 @@ def test_the_command_line_on_a_cluster(
         f'[models.bench]\nfmu = "{build(2)}"\n[parameters.c]\nstart = 100\nlower = 50\nupper = 300\n'
         '[roles]\nvalidation = ["held"]\n[stages.all]\n'
     )
-    found, validation = {}, {}
+    results, validation = {}, {}
     for where in (("--workers", "1"), ("--dask", cluster.scheduler_address)):
         out = tmp_path / where[0].strip("-")
         summary = tmp_path / f"{out.name}.json"
@@ -198,11 +198,11 @@ def test_the_command_line_on_a_cluster(
             monkeypatch.setattr("fmuid.simulation.pool.workers.Supervisor", None)
             monkeypatch.setattr("fmuid.simulation.runners.simulate", None)
         assert command([str(a) for a in arguments]) == 0
-        found[where[0]] = json.loads((out / "result.json").read_text())["parameters"]
+        results[where[0]] = json.loads((out / "result.json").read_text())["parameters"]
         validation[where[0]] = json.loads(summary.read_text())["validation"]
         assert (out / "report" / "index.html").exists()
         assert (out / "identified" / "parameters.ssv").exists()
-    assert found["--dask"] == found["--workers"]
+    assert results["--dask"] == results["--workers"]
     assert validation["--dask"] == validation["--workers"]
     assert validation["--dask"][0]["experiment"] == "held"
-    assert found["--dask"]["c"] == pytest.approx(130.0, rel=0.01)
+    assert results["--dask"]["c"] == pytest.approx(130.0, rel=0.01)

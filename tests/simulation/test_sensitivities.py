@@ -180,7 +180,7 @@ def _problem(path, *, start):
 
 
 def test_the_jacobian_of_a_problem_is_that_of_differences(slider, monkeypatch):
-    found = []
+    jacobians = []
     for able in (True, False):
         if not able:
             monkeypatch.setattr(Fmu, "differentiates", lambda *_: False)
@@ -192,8 +192,8 @@ def test_the_jacobian_of_a_problem_is_that_of_differences(slider, monkeypatch):
         jacobian = differences.jacobian(problem.evaluate_many, here)
         if able:
             assert np.array_equal(differences.jacobian(problem.evaluate_many, here), jacobian)
-        found.append((jacobian, len(jobs)))
-    (exact, fewer), (finite, more) = found
+        jacobians.append((jacobian, len(jobs)))
+    (exact, fewer), (finite, more) = jacobians
     assert fewer == 1  # nothing is done twice
     assert more >= 5
     error = np.linalg.norm(exact - finite, axis=0) / np.linalg.norm(finite, axis=0)
@@ -251,13 +251,13 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
         "late", "late", "drive", (Unknown("u.delay", 0.0, 0.0, 0.1, 1e-3),), {"u.delay": 0.0}, ({"u.delay": 0.01},)
     )
     observed = Observed.from_runs(model.runs)
-    found = []
+    fits = []
     for tangents in (model.tangents, None):
         batches.clear()
         fit = refit(model.predict, observed, unknowns, tangents=tangents, tolerance=1e-9, max_iterations=30)
         (score,) = score_effects(model.predict, observed, fit, [effect])
-        found.append((fit, score, [size for size in batches if size > 1]))
-    (exact, a, once), (finite, b, always) = found
+        fits.append((fit, score, [size for size in batches if size > 1]))
+    (exact, a, once), (finite, b, always) = fits
     assert len(once) <= len(always)  # differences are taken at the end alone, of a plausible size
     assert set(once) == {len(unknowns)}
     assert set(always) == {len(unknowns)}

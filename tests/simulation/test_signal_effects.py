@@ -59,7 +59,7 @@ class Plant(Simulator):
 
 
 def measured(effect, value, interpolation, feedthrough, u=U):
-    """Return what the plant with one late signal shows, on a grid far finer than the samples."""
+    """Return the outputs of the plant with one late signal, on a grid far finer than the samples."""
     h, linear = DT / FINE, interpolation == "linear"
     fine = h * np.arange((N - 1) * FINE + 1)
     moved = fine - (value if effect == "u.delay" else 0.0)
@@ -92,8 +92,8 @@ def test_how_late_a_signal_is_is_found_to_a_fraction_of_a_sample(effect, samples
         point = {effect: x[0] * value, "tau": x[1] * TAU, "feedthrough": feedthrough}
         return model.predict([point])[0][0][0] - y
 
-    found = least_squares(error, [1.2, 1.0], diff_step=1e-4).x
-    assert found == pytest.approx([1.0, 1.0], abs=6e-3)
+    estimate = least_squares(error, [1.2, 1.0], diff_step=1e-4).x
+    assert estimate == pytest.approx([1.0, 1.0], abs=6e-3)
 
 
 @pytest.mark.parametrize("effect", ["u.delay", "u.lag", "y.delay", "y.lag"])

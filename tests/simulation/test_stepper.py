@@ -1,4 +1,4 @@
-"""The compiled loop: how it fails, how it is interrupted, and what is said where it is missing."""
+"""The compiled loop: failures, interruptions, and the message where it is missing."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def files(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in (folder / "run").rglob("*") if path.name != ".lock"}
 
 
-def found(folder: Path) -> list[object]:
+def outcome(folder: Path) -> list[object]:
     """What a result says, but for the time it took."""
     result = json.loads((folder / "run" / "result.json").read_text())
     keep = ("parameters", "cost", "evaluations", "failures", "status", "uncertainty", "criteria", "warnings")
@@ -110,8 +110,8 @@ class Identification:
         return arguments(folder, "--workers", "0")
 
     @staticmethod
-    def found(folder: Path) -> object:
-        return files(folder), found(folder)
+    def outcome(folder: Path) -> object:
+        return files(folder), outcome(folder)
 
 
 class Diagnosis:
@@ -149,7 +149,7 @@ class Diagnosis:
         return ["diagnose", str(folder), "--out", str(folder / "run"), "--workers", "0", "--quiet"]
 
     @staticmethod
-    def found(folder: Path) -> object:
+    def outcome(folder: Path) -> object:
         text = (folder / "run" / "diagnosis.json").read_text()
         return files(folder), text.replace(str(folder), "")  # it names its campaign
 
@@ -170,7 +170,7 @@ def test_an_fmu_that_misbehaves_in_a_region_does_not_stop_the_search(build, tmp_
     limits = ["--workers", "2", "--time-limit", "4", "--memory-limit", "200"]
     done = subprocess.run(command(folder, *limits), capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    near, both = found(folder)
+    near, both = outcome(folder)
     assert near["failures"] > 3
     assert both["parameters"]["c"] == pytest.approx(130.0, rel=5e-3)
     assert both["parameters"]["d"] == pytest.approx(0.7, rel=0.05)
@@ -208,7 +208,7 @@ def test_the_truth_beside_a_wall_of_failures_is_found(build, tmp_path, kind, sol
     more = ["--workers", "2", "--time-limit", "1", "--memory-limit", "200", "--stage", "both", "--solver", solver]
     done = subprocess.run(command(folder, *more), capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    (both,) = found(folder)
+    (both,) = outcome(folder)
     assert both["status"] == "converged"
     assert both["parameters"]["c"] == pytest.approx(130.0, rel=5e-3)
     assert both["parameters"]["d"] == pytest.approx(0.7, rel=0.05)
@@ -239,7 +239,7 @@ def test_killed_at_ten_random_moments_it_ends_as_an_unbroken_run(build, tmp_path
     assert process.wait(100) == 0
     assert kills == 10
     assert sizes == sorted(sizes)  # each went on from where the one before was
-    assert found(folder) == found(unbroken)
+    assert outcome(folder) == outcome(unbroken)
     # As many evaluations as without a kill: none was made twice.
     rows = [[len(s.rows) for s in read_history(f / "run").values()] for f in (folder, unbroken)]
     assert rows[0] == rows[1]
@@ -304,7 +304,7 @@ def test_killed_at_any_moment_of_a_run_nothing_is_lost(build, tmp_path, kind):
         code = ended([*kind.arguments(folder), "--resume"])
         complete = not recorded and (folder / "run" / kind.result).exists()
         assert code == 0 or (code == 2 and complete), k  # then it says that the run is complete
-        assert kind.found(folder) == kind.found(unbroken), k
+        assert kind.outcome(folder) == kind.outcome(unbroken), k
         shutil.rmtree(folder)
     print(f"\n{kind.__name__}, recording for {recording:.2f} s; of {kills}: {dict(seen)}")
     assert min(seen[what] for what in ("killed", "killed in the last 50 ms", "resumed")) > 0
