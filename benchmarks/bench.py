@@ -142,7 +142,7 @@ def evaluation_table(costs: Sequence[evaluation.Cost]) -> str:
     rows = [
         [
             c.what,
-            f"{1e3 * c.own.median:.2f}",
+            f"{1e3 * c.ours.median:.2f}",
             f"{1e3 * c.bare.median:.2f}",
             f"{c.ratio:.3f}",
             f"{c.bare.noise:.2f}",

@@ -246,10 +246,10 @@ def _sundae(python: Path, folder: Path, n: int, truth: np.ndarray, tolerances: S
     wanted = {"n": n, "force": force().tolist(), "tolerances": list(tolerances), "limit": _LIMIT}
     job.write_text(json.dumps(wanted))
     script = Path(__file__).parent / "peers" / "with_sundae.py"
-    said = subprocess.run([str(python), str(script), str(job)], capture_output=True, text=True, check=False)
-    if said.returncode != 0:
+    done = subprocess.run([str(python), str(script), str(job)], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
         return []
-    return [(_error(np.array(run["y"]), truth), run["seconds"]) for run in json.loads(said.stdout)]
+    return [(_error(np.array(run["y"]), truth), run["seconds"]) for run in json.loads(done.stdout)]
 
 
 def main(arguments: Sequence[str]) -> None:

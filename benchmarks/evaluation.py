@@ -52,12 +52,12 @@ class Cost:
     """Times of a measurement and of its reference, in s."""
 
     what: str
-    own: Times
+    ours: Times
     bare: Times
 
     @property
     def ratio(self) -> float:
-        return self.own.median / self.bare.median
+        return self.ours.median / self.bare.median
 
 
 def prbs_run(folder: Path, repeats: int) -> Cost:
@@ -65,8 +65,8 @@ def prbs_run(folder: Path, repeats: int) -> Cost:
     path = folder / "FixedShaft.fmu"
     path.write_bytes((ROOT / "build" / "fmus" / path.name).read_bytes())
     task = Task(1e-3 * np.arange(501), {"i_cmd": prbs(501, 0.8)}, ("tau_sensor", "w_motor"))
-    times = in_turn({"own": with_fmuid(path, task), "bare": with_c(path, task)}, repeats)
-    return Cost("0.5 s PRBS run at 1 kHz, actuator", times["own"], times["bare"])
+    times = in_turn({"ours": with_fmuid(path, task), "bare": with_c(path, task)}, repeats)
+    return Cost("0.5 s PRBS run at 1 kHz, actuator", times["ours"], times["bare"])
 
 
 def stage_evaluation(repeats: int) -> list[Cost]:
@@ -85,7 +85,7 @@ def stage_evaluation(repeats: int) -> list[Cost]:
 
     times = in_turn(
         {
-            "own": evaluate,
+            "ours": evaluate,
             "every": lambda: [s.simulate(t, v) for s, t, v in every],
             "once": lambda: [s.simulate(t, v) for s, t, v in once],
         },
@@ -93,8 +93,8 @@ def stage_evaluation(repeats: int) -> list[Cost]:
     )
     what = f"evaluation of the linear stage, {len(every)} runs"
     return [
-        Cost(f"{what}; one simulation for each", times["own"], times["every"]),
-        Cost(f"{what}; one for each of the {len(once)} different ones", times["own"], times["once"]),
+        Cost(f"{what}; one simulation for each", times["ours"], times["every"]),
+        Cost(f"{what}; one for each of the {len(once)} different ones", times["ours"], times["once"]),
     ]
 
 

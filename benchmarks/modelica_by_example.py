@@ -232,8 +232,8 @@ def judge(book: Path, library: Path, name: str, stop: float | None) -> dict[str,
         if problems:
             return {"stage": "built", "why": " ".join(problems[0].split())}
         description = fmpy.read_model_description(str(fmu))
-        said = description.defaultExperiment.stopTime if description.defaultExperiment else None
-        end = stop or (float(said) if said else LONGEST)
+        default = description.defaultExperiment.stopTime if description.defaultExperiment else None
+        end = stop or (float(default) if default else LONGEST)
         law = next((law for pattern, law in TRUTH.items() if re.search(pattern, name)), None)
         wanted = law(np.linspace(0.0, end, 4001)) if law else {}
         messages: list[str] = []

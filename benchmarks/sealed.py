@@ -77,13 +77,13 @@ def diagnose_folder(
         for done, job in enumerate(as_completed(jobs), 1):
             name = jobs[job].name
             try:
-                said = job.result()
+                answer = job.result()
             except FmuidError as error:
                 failures.append(f"{name}: {error}")
-                said = f"failed: {error}"
+                answer = f"failed: {error}"
             spent = time.monotonic() - begun
             left = spent / done * (len(waiting) - done)
-            print(f"{name}: {said}  ({spent:.0f} s, about {left:.0f} s left)", flush=True)
+            print(f"{name}: {answer}  ({spent:.0f} s, about {left:.0f} s left)", flush=True)
     return failures
 
 

@@ -40,8 +40,10 @@ def main(arguments: Sequence[str]) -> None:
     cases = scored(json.loads(Path(arguments[0]).read_text()), Path(arguments[1]))
     for case in cases:
         truth = " and ".join(case.label["effects"]) or "none"
-        said = in_words(case.answer) if case.answer else "no answer"
-        print(f"{case.label['case']}: {'right' if case.right else case.reason}; truth: {truth}; verdict: {said}")
+        verdict = in_words(case.answer) if case.answer else "no answer"
+        print(
+            f"{case.label['case']}: {'right' if case.right else case.reason}; truth: {truth}; verdict: {verdict}"
+        )
     for name, figure in (
         ("right", share("", cases, lambda c: c.right)),
         ("wrong name", share("", cases, lambda c: c.wrong)),

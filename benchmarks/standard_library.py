@@ -101,15 +101,15 @@ def judge(library: Path, reference: Path, name: str) -> dict[str, Any]:
         shown = [n for n in signals if n in known]
         lacking = [n for n in signals if n not in known]
         start, stop = float(wanted["time"][0]), float(wanted["time"][-1])
-        said: list[str] = []
+        messages: list[str] = []
         try:
             result = fmpy.simulate_fmu(
                 str(fmu), start_time=start, stop_time=stop, output_interval=(stop - start) / 2000, output=shown,
                 relative_tolerance=1e-6, fmi_type="CoSimulation",
-                logger=lambda *message: said.append(message[-1].decode()),
+                logger=lambda *message: messages.append(message[-1].decode()),
             )  # fmt: skip
         except Exception as error:  # whatever the run ends with is its result
-            return {"stage": "valid", "why": " ".join((said or [str(error)])[0].split())}
+            return {"stage": "valid", "why": " ".join((messages or [str(error)])[0].split())}
     worst = {n: outside(result["time"], result[n].astype(float), wanted["time"], wanted[n]) for n in shown}
     if lacking:
         return {"stage": "valid", "why": f"no variable {lacking[0]}"}

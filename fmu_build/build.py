@@ -202,8 +202,8 @@ def _openmodelica(file: Path, class_name: str, target: Path, fmi: str, roots: Se
         run = subprocess.run([omc, "build.mos"], cwd=folder, capture_output=True, text=True, check=False)
         made = sorted(Path(folder).glob("*.fmu"))
         if not made:
-            said = f"{run.stdout}\n{run.stderr}"
-            error = re.search(r"Error: .*", said) or re.search(r"\S.*", said)
+            printed = f"{run.stdout}\n{run.stderr}"
+            error = re.search(r"Error: .*", printed) or re.search(r"\S.*", printed)
             raise BuildError(f"omc built no FMU: {error.group() if error else 'no message'}", where=class_name)
         shutil.move(made[0], target)
     return target

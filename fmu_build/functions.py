@@ -474,10 +474,10 @@ class Body:
             if condition:
                 return
             if not guards:
-                said = self._evaluate(statement.message)
+                shown = self._evaluate(statement.message)
                 if statement.warning:
                     return
-                raise self._library.error(f"assertion in function '{self._frame.name}': {said}", statement.at)
+                raise self._library.error(f"assertion in function '{self._frame.name}': {shown}", statement.at)
         holds = algebra.sx(condition)
         for guard in guards:
             holds = ca.logic_or(ca.logic_not(guard), holds)

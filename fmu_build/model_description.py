@@ -284,8 +284,8 @@ def _fmi3(model: CompiledModel, guid: str, sources: Sequence[str]) -> ElementTre
     parent = _element(root, "ModelVariables")
     for v in model.variables:
         tag = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}[v.type]
-        said = _role(v, reference[v.name]) | _values(v, types, reference)
-        _element(parent, "Enumeration" if v.enumeration else tag, **said)
+        described = _role(v, reference[v.name]) | _values(v, types, reference)
+        _element(parent, "Enumeration" if v.enumeration else tag, **described)
     indicators = range(len(model.variables), len(model.variables) + model.n_m)
     for i, indicator in enumerate(indicators, start=1):
         _element(

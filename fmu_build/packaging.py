@@ -305,8 +305,8 @@ def _run_together(folder: Path, class_name: str, *commands: list[str]) -> None:
         subprocess.Popen(c, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         for c in commands
     ]
-    said = [process.communicate()[1] for process in running]
-    for process, text in zip(running, said, strict=True):
+    printed = [process.communicate()[1] for process in running]
+    for process, text in zip(running, printed, strict=True):
         if process.returncode != 0:
             first = next((line for line in text.splitlines() if "error" in line), text.strip())
             raise BuildError(f"the C compiler failed: {first}", where=class_name)

@@ -48,10 +48,10 @@ def answered(seed: int, number: int, work: Path, labels: Path, limit: float) -> 
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if not record.is_file():
             late = done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
-            said = f"no answer in {limit:g} s of processor time" if late else done.stderr.strip()[-600:]
-            _write(record, {"diagnose": done.returncode, "said": said, "elapsed": time.monotonic() - begun})
-    found = json.loads(record.read_text())
-    return f"{name}: {_words(found)}  ({found.get('seconds', found['elapsed']):.0f} s)"
+            message = f"no answer in {limit:g} s of processor time" if late else done.stderr.strip()[-600:]
+            _write(record, {"diagnose": done.returncode, "said": message, "elapsed": time.monotonic() - begun})
+    answer = json.loads(record.read_text())
+    return f"{name}: {_words(answer)}  ({answer.get('seconds', answer['elapsed']):.0f} s)"
 
 
 def _words(record: dict[str, Any]) -> str:

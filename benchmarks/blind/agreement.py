@@ -37,11 +37,11 @@ def disagreement(rig: Rig, seed: int, folder: Path) -> float:
         list(zip(time, *u, strict=True)), dtype=[("time", float), *((s.name, float) for s in rig.inputs)]
     )
     names = [s.name for s in rig.outputs]
-    found = fmpy.simulate_fmu(
+    simulated = fmpy.simulate_fmu(
         str(given_model(file).fmu), fmi_type="CoSimulation", start_values=values, input=given, output=names,
         stop_time=time[-1], output_interval=rig.dt, relative_tolerance=1e-8,
     )  # fmt: skip
-    error = np.stack([found[n][: rig.samples] for n in names]) - y
+    error = np.stack([simulated[n][: rig.samples] for n in names]) - y
     return float(np.max(np.abs(error) / np.array(rig.noise)[:, None]))
 
 

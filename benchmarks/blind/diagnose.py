@@ -29,18 +29,20 @@ def main() -> int:
     logs = list(order["logs"])
     model = ["--model", str(case / order["model"]), "--class", order["class"]]
     while True:
-        code, said = _fmuid(
+        code, printed = _fmuid(
             "init", *(str(case / n) for n in logs), *model, "--out", str(campaign), "--workers", "0"
         )
-        named = next((n for n in logs if re.search(rf"\b{re.escape(n)}\b", said)), None) if code == 2 else None
+        named = next((n for n in logs if re.search(rf"\b{re.escape(n)}\b", printed)), None) if code == 2 else None
         if code == 0 or named is None:
             break
-        record["refused"].append([named, said.strip()[-300:]])
+        record["refused"].append([named, printed.strip()[-300:]])
         logs.remove(named)
-    record |= {"init": code, "said": said.strip()[-600:] if code else ""}
+    record |= {"init": code, "said": printed.strip()[-600:] if code else ""}
     if code == 0:
-        code, said = _fmuid("diagnose", str(campaign), "--out", str(folder), "--workers", "0", *_tolerance(order))
-        record |= {"diagnose": code, "said": said.strip()[-600:] if code else ""}
+        code, printed = _fmuid(
+            "diagnose", str(campaign), "--out", str(folder), "--workers", "0", *_tolerance(order)
+        )
+        record |= {"diagnose": code, "said": printed.strip()[-600:] if code else ""}
     record |= {"seconds": _seconds() - spent, "elapsed": time.monotonic() - begun}
     if code == 0:
         record["answer"] = reduced(json.loads((folder / "diagnosis.json").read_text()))
@@ -48,8 +50,10 @@ def main() -> int:
             r'^\[parameters\."?([^"\]]*)"?\]', (campaign / "campaign.toml").read_text(), re.MULTILINE
         )
         validated = out / "validation.json"
-        code, said = _fmuid("validate", str(folder / "diagnosis.json"), "--workers", "0", "--json", str(validated))
-        record["validate"] = json.loads(validated.read_text()) if validated.is_file() else said.strip()[-300:]
+        code, printed = _fmuid(
+            "validate", str(folder / "diagnosis.json"), "--workers", "0", "--json", str(validated)
+        )
+        record["validate"] = json.loads(validated.read_text()) if validated.is_file() else printed.strip()[-300:]
     (out / "record.json").write_text(json.dumps(record, indent=1) + "\n")
     return 0 if "answer" in record else 3
 
@@ -91,14 +95,14 @@ def _fmuid(*words: str) -> tuple[int, str]:
     """Run a command in this process; return its exit code and what it wrote."""
     from fmuid.cli.app import run
 
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+    printed = io.StringIO()
+    with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
         try:
             code = run([*words, "--quiet"])
         except Exception as error:  # the program's fault: it is part of the record
             code = 70
             print(f"{type(error).__name__}: {error}")
-    return code, said.getvalue()
+    return code, printed.getvalue()
 
 
 def _tolerance(order: dict[str, Any]) -> list[str]:

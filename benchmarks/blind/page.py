@@ -75,7 +75,7 @@ class Seed:
 
 def read_published(folder: Path) -> list[Seed]:
     """Read the published seeds."""
-    found = []
+    seeds = []
     for file in sorted(folder.glob("*/seed.json")):
         told = json.loads(file.read_text())
         labels, records = (
@@ -83,13 +83,13 @@ def read_published(folder: Path) -> list[Seed]:
             for name in ("labels.jsonl", "answers.jsonl")
         )
         reasons = file.with_name("reasons.json")
-        found.append(
+        seeds.append(
             Seed(
                 told["seed"], told, labels, {r["case"]: r for r in records},
                 json.loads(reasons.read_text()) if reasons.is_file() else {},
             )
         )  # fmt: skip
-    return found
+    return seeds
 
 
 def page(folder: Path) -> str:
@@ -140,12 +140,12 @@ def number(value: float | None) -> str:
     return f"{value:.{3 if 0 < abs(value) < 0.01 else 2 if abs(value) < 10 else 0}f}"
 
 
-def _aims(found: Sequence[Figure]) -> str:
+def _aims(every: Sequence[Figure]) -> str:
     def bounds(pair: tuple[float, float] | None) -> str:
         return "" if pair is None else f"{pair[0]:.2f} to {pair[1]:.2f}"
 
     rows = []
-    for f in found:
+    for f in every:
         aim = f"{f.lower:g} to {f.upper:g}" if f.lower is not None and f.upper is not None else ""
         aim = aim or (f"≥ {f.lower:g}" if f.lower is not None else f"≤ {f.upper:g}" if f.upper is not None else "")
         met = {True: "yes", False: "no", None: ""}[f.met]
@@ -161,13 +161,13 @@ def _shares(cases: Sequence[Scored]) -> str:
         for case in cases:
             value = case.label[title]
             groups.setdefault(str(bool(value) if title == "closed" else value), []).append(case)
-        for name, own in sorted(groups.items()):
-            found = share("", own, lambda c: c.right)
-            kinds = Counter(case.kind for case in own)
-            seconds = [c.record["seconds"] for c in own if "seconds" in c.record]
+        for name, group in sorted(groups.items()):
+            right = share("", group, lambda c: c.right)
+            kinds = Counter(case.kind for case in group)
+            seconds = [c.record["seconds"] for c in group if "seconds" in c.record]
             rows.append(
                 [
-                    title, name, str(len(own)), number(found.value),
+                    title, name, str(len(group)), number(right.value),
                     ", ".join(f"{k} {n}" for k, n in sorted(kinds.items())),
                     f"{np.median(seconds):.0f}" if seconds else "",
                 ]

@@ -161,8 +161,8 @@ class Scored:
     def claim(self) -> tuple[float, bool]:
         """The probability that the verdict claims for what it says, and whether that holds."""
         assert self.answer is not None
-        said = {"complete": [{"none"}], "insufficient": [{"none"}], "unknown": [{"unknown"}]}.get(self.kind)
-        open_ = said or [{canonical(n) for n in s} for s in self.sets]
+        claimed = {"complete": [{"none"}], "insufficient": [{"none"}], "unknown": [{"unknown"}]}.get(self.kind)
+        open_ = claimed or [{canonical(n) for n in s} for s in self.sets]
         weight = sum(
             float(a["probability"] or 0.0)
             for a in self.answer["answers"]
@@ -174,8 +174,8 @@ class Scored:
     def reason(self) -> str:
         """Why the case is not right, as far as a program can say it."""
         if not self.answer:
-            said = str(self.record.get("said", "")).strip().splitlines()
-            return f"no answer{': ' + said[-1] if said else ''}"[:160]
+            lines = str(self.record.get("said", "")).strip().splitlines()
+            return f"no answer{': ' + lines[-1] if lines else ''}"[:160]
         if self.wrong:
             named = set().union(*map(self._foreign, self.sets))
             as_well = [n for names in self.label["as_well"].values() for n in names]
@@ -269,7 +269,7 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
     sizes, closures = _known(cases, _size_covered), _known(cases, _closure_covered)
     seconds = [float(c.record["seconds"]) for c in cases if "seconds" in c.record]
     tables = [x for c in both["unknown"] if (x := _learned(c)) is not None]
-    own = [c for c in everything if c.label["own_shape"] and not c.label["twin_of"]]
+    catalogue_shaped = [c for c in everything if c.label["own_shape"] and not c.label["twin_of"]]
     damaged = [c for c in cases if c.label["damaged"]]
     return [
         share("single runs: one effect right, firm or provisional", by["one", True], _right, lower=0.80),
@@ -314,7 +314,7 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
             lambda c: c.alarmed,
         ),
         share("cases with an answer", cases, lambda c: c.answer is not None),
-        share("the catalogue's own shapes: one effect right", own, _right),
+        share("the catalogue's own shapes: one effect right", catalogue_shaped, _right),
         share(
             "damaged logs refused by name, and no other; the others diagnosed",
             damaged,
@@ -352,8 +352,8 @@ def _size_covered(case: Scored) -> bool | None:
             continue  # in the unit of the log
         for effect in case.answer["effects"]:
             if canonical(effect["id"]) == canonical(truth):
-                found = effect.get("parameters") or {}
-                one = next((v for n, v in found.items() if n.rpartition(".")[2] == law), None)
+                parameters = effect.get("parameters") or {}
+                one = next((v for n, v in parameters.items() if n.rpartition(".")[2] == law), None)
                 if one and one.get("standard_error"):
                     return bool(abs(one["value"] - size) < norm.ppf(0.95) * one["standard_error"])
     return None
@@ -417,38 +417,38 @@ def localisation(case: Scored) -> float:
     regime = case.label["regime"]
     x = np.array(regime["trace"])
     value = np.abs(x) if regime["what"] == "rate" else x
-    truth, found = value > regime["over"], np.zeros(len(x), dtype=bool)
+    truth, located = value > regime["over"], np.zeros(len(x), dtype=bool)
     node = case.label["places"][0].removesuffix(".balance")
     for place in (case.answer or {"where": []})["where"]:
         bounds = place.get("regime")
         if bounds and node in bounds["variable"] and (bounds["unit"] in _SPEEDS) is (regime["what"] == "rate"):
-            found |= (x >= bounds["from"]) & (x <= bounds["to"])
-    hit = float(np.sum(truth & found))
-    return 2 * hit / max(float(truth.sum() + found.sum()), 1.0)
+            located |= (x >= bounds["from"]) & (x <= bounds["to"])
+    hit = float(np.sum(truth & located))
+    return 2 * hit / max(float(truth.sum() + located.sum()), 1.0)
 
 
 def bias(case: Scored) -> float | None:
     """Return the mean relative error of the free parameters that the runs determine."""
     if not case.answer:
         return None
-    found = case.answer["model"]["parameters"]
+    fitted = case.answer["model"]["parameters"]
     errors = [
-        abs(found[n] / v - 1.0)
+        abs(fitted[n] / v - 1.0)
         for n, v in case.label["values"].items()
-        if n in found and n in case.label["determined"] and n in case.record.get("free", ())
+        if n in fitted and n in case.label["determined"] and n in case.record.get("free", ())
     ]
     return float(np.mean(errors)) if errors else None
 
 
 def regimes(cases: Sequence[Scored]) -> list[tuple[str, float | None, int, float]]:
     """Return the figures of the stratum with effects in one regime only, each beside LISDD's published one."""
-    own = [c for c in cases if c.label["stratum"] == "regime" and not c.label["twin_of"]]
-    biases = [b for c in own if (b := bias(c)) is not None]
+    gated = [c for c in cases if c.label["stratum"] == "regime" and not c.label["twin_of"]]
+    biases = [b for c in gated if (b := bias(c)) is not None]
     mean = lambda x: float(np.mean(x)) if len(x) else None  # noqa: E731
     return [
-        ("detection", mean([c.alarmed for c in own]), len(own), LISDD["detection"]),
-        ("localisation F1", mean([localisation(c) for c in own]), len(own), LISDD["localisation F1"]),
+        ("detection", mean([c.alarmed for c in gated]), len(gated), LISDD["detection"]),
+        ("localisation F1", mean([localisation(c) for c in gated]), len(gated), LISDD["localisation F1"]),
         ("parameter bias, mean", mean(biases), len(biases), LISDD["parameter bias"]),
         ("parameter bias, median", _median(biases), len(biases), LISDD["parameter bias"]),
-        ("right form", mean([c.right for c in own]), len(own), LISDD["right form"]),
+        ("right form", mean([c.right for c in gated]), len(gated), LISDD["right form"]),
     ]

@@ -33,10 +33,10 @@ for tolerance in job["tolerances"]:
     options = {"rtol": tolerance, "atol": 1e-3 * tolerance, "max_step": 0.01, "max_num_steps": 10**6}
     solver = CVODE(rates, linsolver="sparse", sparsity=sparsity, **options)
     begun = time.process_time()
-    found = solver.solve(grid, np.zeros(2 * n))
+    solution = solver.solve(grid, np.zeros(2 * n))
     seconds = time.process_time() - begun
-    if found.success:
-        runs.append({"tolerance": tolerance, "seconds": seconds, "y": found.y[:, 0].tolist()})
+    if solution.success:
+        runs.append({"tolerance": tolerance, "seconds": seconds, "y": solution.y[:, 0].tolist()})
     if seconds > job["limit"]:
         break
 print(json.dumps(runs))

@@ -91,8 +91,8 @@ def draw_case(seed: int, number: int) -> Case:
     if number % _TWIN == _TWIN - 1:
         case = draw_case(seed, number - 1)
         units, columns = not case.label["units"], not case.label["columns"]
-        own = {"case": f"c{number:04d}", "number": number, "twin_of": case.label["case"], "damaged": []}
-        return replace(case, label={**case.label, **own, "units": units, "columns": columns})
+        changed = {"case": f"c{number:04d}", "number": number, "twin_of": case.label["case"], "damaged": []}
+        return replace(case, label={**case.label, **changed, "units": units, "columns": columns})
     for attempt in range(50):
         try:
             return _drawn(seed, number, np.random.default_rng([seed, number, attempt, 5]))
@@ -208,9 +208,9 @@ def _truth(
 ) -> tuple[list[Candidate], dict[str, Any]]:
     """Draw the effects of a case at their sizes; return them and the beginning of the label."""
     wanted = {"none": 0, "two": 2}.get(stratum, 1)
-    own = stratum == "one" and bool(rng.random() < _OWN_SHAPE)
+    own_shape = stratum == "one" and bool(rng.random() < _OWN_SHAPE)
     chosen: list[Candidate] = []
-    label: dict[str, Any] = {"effects": [], "shapes": [], "gaps": [], "own_shape": own}
+    label: dict[str, Any] = {"effects": [], "shapes": [], "gaps": [], "own_shape": own_shape}
     pool: list[Candidate] = list(known)
     if stratum == "unknown":
         pool = unknowns(rig, typical, rng)
@@ -235,7 +235,7 @@ def _truth(
         one = [c for c in pool if c.law == law]
         candidate = one[int(rng.integers(len(one)))]
         pool = [c for c in pool if c is not candidate]
-        drawn = shaped(candidate, rng, own=own)
+        drawn = shaped(candidate, rng, own_shape=own_shape)
         if stratum == "regime":
             drawn = gated(drawn, typical, rng)
         sign = float(rng.choice([-1.0, 1.0])) if candidate.two_sided else 1.0
@@ -268,22 +268,22 @@ def _truth(
 
 def _sizes(gaps: Gaps, chosen: Sequence[Candidate], known: Sequence[Candidate]) -> dict[str, float]:
     """Return by id the size that the catalogue's own law has to take for an effect, where that is one number."""
-    found = {}
+    sizes = {}
     for candidate in chosen:
         if candidate.law not in _SIZED or (isinstance(candidate.effect, Effect) and candidate.effect.gate):
             continue
-        own = next((c for c in known if c.id == candidate.id), None)
-        if own is None:
+        plain = next((c for c in known if c.id == candidate.id), None)
+        if plain is None:
             continue
-        effect = own.sized(gaps.fitted(gaps.readings({}, [candidate.effect]), own)[1])
+        effect = plain.sized(gaps.fitted(gaps.readings({}, [candidate.effect]), plain)[1])
         value = effect.size
         if isinstance(effect, SignalEffect):
             scale = (gaps.typical.inputs if effect.is_input else gaps.typical.outputs)[effect.index]
             dt, duration = gaps.rig.dt, gaps.rig.dt * (gaps.rig.samples - 1)
             value *= {"gain": 1.0, "lag": dt, "delay": dt, "drift": scale / duration}.get(effect.law, scale)
             value += 1.0 if effect.law == "gain" else 0.0
-        found[candidate.id] = float(value)
-    return found
+        sizes[candidate.id] = float(value)
+    return sizes
 
 
 def _regime_traces(
@@ -356,10 +356,10 @@ def write_case(case: Case, folder: Path) -> dict[str, str]:
 
     def record(name: str, k: int, damage: str | None = None) -> None:
         run, control, rng = case.runs[k], case.controllers[k], np.random.default_rng([case.rng, len(logs)])
-        own = rng.normal(size=rig.samples) * rig.noise[control[0].output] if control else None
+        feedback = rng.normal(size=rig.samples) * rig.noise[control[0].output] if control else None
         y, u = simulate(
             rig, network, case.effects, run, case.way, case.typical,
-            controller=control[0] if control else None, reference=control[1] if control else None, noise=own,
+            controller=control[0] if control else None, reference=control[1] if control else None, noise=feedback,
         )  # fmt: skip
         read = noisy(y, sigma, case.noise, rng)
         if case.noise == "inputs":

@@ -195,15 +195,15 @@ class Candidate:
 
 def candidates(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Candidate]:
     """Return the effects that may act on a rig, each in shape 0 and with drawn numbers of its shape."""
-    found = []
+    drawn = []
     for k, node in enumerate(rig.network.nodes):
         if node.driven < 0:
-            found += [_at_node(rig, typical, rng, k, law) for law in _laws_at(rig, k)]
+            drawn += [_at_node(rig, typical, rng, k, law) for law in _laws_at(rig, k)]
     for k, element in enumerate(rig.network.elements):
         if element.kind in ("spring", "gear") and element.b >= 0:
-            found += [_in_spring(rig, typical, rng, k, law) for law in ("hardening", "hysteresis", "backlash")]
+            drawn += [_in_spring(rig, typical, rng, k, law) for law in ("hardening", "hysteresis", "backlash")]
         if element.kind in ("coil", "motor"):
-            found += [
+            drawn += [
                 _in_coil(rig, typical, rng, k, law)
                 for law in ("voltage_drop", "eddy")
                 if (element.kind, law) != ("motor", "eddy")
@@ -217,8 +217,8 @@ def candidates(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Candi
                 other = (k + 1) % max(len(rig.outputs), 1)
                 if law == "crosstalk":
                     size *= typical.outputs[k] / typical.outputs[other]
-                found.append(Candidate(law, signal.name, SignalEffect(law, 0, is_input, k, size, other)))
-    return found
+                drawn.append(Candidate(law, signal.name, SignalEffect(law, 0, is_input, k, size, other)))
+    return drawn
 
 
 def _laws_at(rig: Rig, k: int) -> list[str]:
@@ -298,18 +298,18 @@ class Varying:
 
 def other_names(rig: Rig, typical: Usual) -> list[Candidate]:
     """Return coefficients that vary as other names of laws; with a speed, as itself and as its magnitude."""
-    found = []
+    names = []
     for one in varying(rig, typical, np.random.default_rng(0), friction=True):
         effect, name = one.candidate.effect, f"{one.parameter}({one.variable[-1]})"
         assert isinstance(effect, Effect)
         turning = effect.source == 0 and rig.network.nodes[effect.index].mechanical
-        found += [Candidate("varies", name, replace(effect, shape=k)) for k in ((0, 5) if turning else (0,))]
-    return found
+        names += [Candidate("varies", name, replace(effect, shape=k)) for k in ((0, 5) if turning else (0,))]
+    return names
 
 
 def varying(rig: Rig, typical: Usual, rng: np.random.Generator, *, friction: bool = False) -> list[Varying]:
     """Return coefficients of branches, each with what it may vary with; of `friction`, also with its speed."""
-    found = []
+    places = []
     for parameter in rig.parameters:
         what, k, j = parameter.slot
         if what != "element":
@@ -335,19 +335,19 @@ def varying(rig: Rig, typical: Usual, rng: np.random.Generator, *, friction: boo
             effect = Effect(
                 "coefficient", 0, "varies", k, 0.1, s1, float(j), scale, 1.0, zero, source=source, index=index
             )
-            found.append(Varying(Candidate("coefficient", parameter.name, effect), parameter.name, names))
-    return found
+            places.append(Varying(Candidate("coefficient", parameter.name, effect), parameter.name, names))
+    return places
 
 
 def unknowns(rig: Rig, typical: Usual, rng: np.random.Generator) -> list[Candidate]:
     """Return effects outside the catalogue, at the stores of a rig."""
-    own = [k for k, n in enumerate(rig.network.nodes) if n.driven < 0]
-    return [_at_node(rig, typical, rng, k, law) for k in own for law in UNKNOWN]
+    free = [k for k, n in enumerate(rig.network.nodes) if n.driven < 0]
+    return [_at_node(rig, typical, rng, k, law) for k in free for law in UNKNOWN]
 
 
-def shaped(candidate: Candidate, rng: np.random.Generator, *, own: bool = False) -> Candidate:
+def shaped(candidate: Candidate, rng: np.random.Generator, *, own_shape: bool = False) -> Candidate:
     """Return a candidate with a drawn shape that is not the catalogue's, or with the catalogue's own."""
-    if candidate.law in UNKNOWN or own:
+    if candidate.law in UNKNOWN or own_shape:
         return candidate
     return replace(
         candidate, effect=replace(candidate.effect, shape=int(rng.integers(1, SHAPES[candidate.law] + 1)))

@@ -529,11 +529,11 @@ class _Drawing:
             "hydraulic": ("p", "Pa", "Pressure"), "tank": ("h", "m", "Level"),
         }  # fmt: skip
         readings, outputs = [], []
-        own = [k for k, n in enumerate(self.nodes) if n.driven < 0]
-        for k in own:
+        free = [k for k, n in enumerate(self.nodes) if n.driven < 0]
+        for k in free:
             node = self.nodes[k]
-            end = k in (own[0], own[-1])
-            if (not end and self.chance(0.5)) or (k == own[0] and len(own) > 2 and self.chance(0.25)):
+            end = k in (free[0], free[-1])
+            if (not end and self.chance(0.5)) or (k == free[0] and len(free) > 2 and self.chance(0.25)):
                 continue
             letter, unit, words = units[node.domain]
             what = "potential"

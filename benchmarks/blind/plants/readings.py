@@ -175,13 +175,13 @@ class Gaps:
         return candidate.sized(sign * size), gap
 
     def twins_of(
-        self, effect: Any_, others: Sequence[Candidate], repeats: int, own: str = ""
+        self, effect: Any_, others: Sequence[Candidate], repeats: int, catalogue_law: str = ""
     ) -> tuple[list[str], list[str]]:
         """Return the ids of candidates that these runs cannot tell from an effect, and of those that fit as well.
 
         A candidate, at its best size and with the parameters refitted, is the same if it differs by less than
         three standard deviations over all runs, and by less than half of what the effect leaves. It fits as well
-        if it differs by no more than the catalogue's own law, `own`, whose shape the effect does not have.
+        if it differs by no more than `catalogue_law`, whose shape the effect does not have.
         """
         try:
             target, left = self.readings({}, [effect]), self.left([effect])
@@ -189,15 +189,15 @@ class Gaps:
             return [], []
         half = 0.5 * float(np.linalg.norm(left)) * np.sqrt(repeats)
         limit, mine = min(_APART, half), 0.0
-        for one in (c for c in others if c.id == own):
+        for one in (c for c in others if c.id == catalogue_law):
             mine = min(self.fitted(target, c, np.inf)[0] for c in _of_other_widths(one)) * np.sqrt(repeats)
             mine = mine if mine < half else 0.0
         near = max(mine, 4.0 * limit) / np.sqrt(repeats)
         same, as_well = [], []
         for other in others:
-            if other.id == own:
+            if other.id == catalogue_law:
                 continue
-            apart = self.fitted(target, other, near)[0] if own else self._linear(left, other)
+            apart = self.fitted(target, other, near)[0] if catalogue_law else self._linear(left, other)
             apart *= np.sqrt(repeats)
             if apart < limit:
                 same.append(other.id)

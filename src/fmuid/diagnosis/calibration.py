@@ -128,8 +128,8 @@ class Calibration:
         offset, slope = self.curves[verdict.kind]
         sure = float(np.clip(expit(offset + slope * logit(np.clip(weight, _EDGE, 1 - _EDGE))), _EDGE, 1 - _EDGE))
         inside, outside = sure / weight, (1.0 - sure) / (1.0 - weight)
-        said = {frozenset(a) for a in verdict.answers}
-        return {name: p * (inside if frozenset(name) in said else outside) for name, p in probability.items()}
+        listed = {frozenset(a) for a in verdict.answers}
+        return {name: p * (inside if frozenset(name) in listed else outside) for name, p in probability.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON value."""
@@ -139,8 +139,8 @@ class Calibration:
 
 def says(verdict: Verdict, probability: Mapping[tuple[str, ...], float]) -> float:
     """Return the total probability of the answers that a verdict leaves open."""
-    said = {frozenset(answer) for answer in verdict.answers}
-    return sum(p for answer, p in probability.items() if frozenset(answer) in said)
+    listed = {frozenset(answer) for answer in verdict.answers}
+    return sum(p for answer, p in probability.items() if frozenset(answer) in listed)
 
 
 def is_true(verdict: Verdict, truth: frozenset[str], background: frozenset[str] = frozenset()) -> bool:

@@ -362,14 +362,14 @@ class _Document:
 
     def _source(self, source: ModelSource) -> dict[str, Any]:
         """Return the entries of a model's table about its Modelica source."""
-        said: dict[str, Any] = {"source": self._path(source.file), "class": source.class_name}
+        entries: dict[str, Any] = {"source": self._path(source.file), "class": source.class_name}
         if source.effects is not None:
-            said["effects"] = self._path(source.effects)
+            entries["effects"] = self._path(source.effects)
         if source.roots:
-            said["roots"] = [self._path(root) for root in source.roots]
+            entries["roots"] = [self._path(root) for root in source.roots]
         if source.libraries:
-            said["libraries"] = dict(source.libraries)
-        return said
+            entries["libraries"] = dict(source.libraries)
+        return entries
 
     def _stage(self, free: list[str], tie: Mapping[str, str]) -> dict[str, Any]:
         """Return one stage with all diagnosed runs, read by the sensors that the campaign specifies."""
