@@ -250,6 +250,16 @@ def test_a_start_that_fails_is_said(analytic):
     assert result.stages[0].cost is None
 
 
+@pytest.mark.parametrize("solver", ["isres", "crs2", "direct"])
+def test_a_budget_leaves_the_local_solver_that_ends_a_global_search_its_share(analytic, solver):
+    problem = curve(analytic, lambda time, inputs, p: {"y": p["a"]}, ["a"], [1.2, 1.2])
+    stage = identify(problem, solver=solver, stop=StopRules(evaluations=200), with_uncertainty=False).stages[0]
+    assert stage.status is Status.BUDGET
+    assert stage["a"].value == pytest.approx(1.2, abs=1e-5)
+    assert 100 < stage.evaluations <= 200
+    assert "evaluations, then" in stage.message
+
+
 def test_budgets_are_kept(msd):
     result = identify(msd(), solver="nelder_mead", stop=StopRules(evaluations=20), with_uncertainty=False)
     assert result.status is Status.BUDGET
@@ -362,7 +372,7 @@ def test_starts_are_simulated_side_by_side(analytic):
     problem.runner = runner
     stage = identify(problem, solver="bobyqa", options={"starts": 8}, with_uncertainty=False).stages[0]
     assert max(batches) == 8
-    assert sum(batches) == stage.evaluations
+    assert sum(batches) == stage.evaluations + 2  # that show that the model repeats itself
     assert stage.evaluations >= sum(s.evaluations for s in stage.starts)  # and the check of the best
     assert np.mean(batches) > 3
 

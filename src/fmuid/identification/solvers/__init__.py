@@ -75,7 +75,8 @@ def make(name: str, options: Mapping[str, Any], problem: Problem) -> tuple[Solve
                 f"unknown solver option '{next(iter(options))}'",
                 fix=f"in a chain, write {links[0]} = {{ ... }}",
             )
-    solver = Verified(MultiStart(solver, starts) if starts > 1 else solver, _local(solver, problem))
+    local = _local(solver, problem)
+    solver = Verified(MultiStart(solver, starts) if starts > 1 else solver, local, local is not solver)
     if problem.combination.kind == "lexicographic":
         solver = Lexicographic(solver)
     solver.check(problem)

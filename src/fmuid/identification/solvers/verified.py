@@ -16,7 +16,7 @@ from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 from fmuid.identification.solvers.least_squares import NOTHING_MOVES, TrustRegion, meaningless
 from fmuid.identification.solvers.nlopt_solver import NloptSolver
-from fmuid.identification.solvers.search import Outcome, Search, Solver, Status, in_short
+from fmuid.identification.solvers.search import Outcome, Search, Solver, Status, StopSearch, in_short
 
 _ROUNDS = 8
 _GAIN = 1e-3  # improvement in shares of the residual variance that another solver must not find
@@ -41,11 +41,15 @@ class Verified:
         The solver.
     again
         The solver that continues from an improved point: the same one, without further starts; of a global solver,
-        a local one, which also polishes what the former reached within its default number of evaluations.
+        a local one.
+    polished
+        Whether the latter also polishes what the former reached within its default number of evaluations, or half
+        the budget.
     """
 
     solver: Solver
     again: Solver
+    polished: bool
 
     @property
     def name(self) -> str:
@@ -63,8 +67,14 @@ class Verified:
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
-        outcome = _outcome_of(self.solver, search, start)
-        if outcome.status is Status.BUDGET and self.again is not self.solver and search.reached is not None:
+        try:
+            with search.share(2 if self.polished else 1):
+                outcome = _outcome_of(self.solver, search, start)
+        except StopSearch as stopped:
+            if not self.polished or stopped.outcome.status is not Status.BUDGET:
+                raise
+            outcome = stopped.outcome
+        if outcome.status is Status.BUDGET and self.polished and search.reached is not None:
             ended = _outcome_of(self.again, search, search.reached.x)
             return Outcome(Status.BUDGET, f"{outcome.message}, then {self.again.name}: {ended.message}")
         for _ in range(_ROUNDS):
