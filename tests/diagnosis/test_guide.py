@@ -97,8 +97,30 @@ def test_an_effect_of_one_s_own_is_found(trolley, tmp_path, capsys):
     capsys.readouterr()
     others = ["--measurements", str(other / "measurements.h5")]
     assert run(["validate", str(out / "diagnosis.json"), *others, "--json", str(tmp_path / "m.json")]) == 0
-    low, high = json.loads((tmp_path / "m.json").read_text())["closure_interval"]
+    validated = json.loads((tmp_path / "m.json").read_text())
+    low, high = validated["closure_interval"]
     assert 0.5 < low < high <= 1.0
+
+    # The same recordings as logs, in another unit.
+    log_files = []
+    for run_id in (recorded := fmuid.read_measurements(others[1])).experiments:
+        log_files += ["--measurements", str(tmp_path / f"{run_id}.csv")]
+        u, v = (recorded[run_id].signals[name].values for name in ("u", "v"))
+        np.savetxt(
+            log_files[-1],
+            np.stack([TIME, u, 1e3 * v], axis=1),
+            header="time,u,v [mm/s]",
+            delimiter=",",
+            comments="",
+        )
+    assert run(["validate", str(out), *log_files, "--json", str(tmp_path / "logs.json")]) == 0
+    from_logs = json.loads((tmp_path / "logs.json").read_text())["gaps"]
+    assert from_logs["all"] == pytest.approx(validated["gaps"]["all"], rel=1e-3)
+    damaged = tmp_path / "damaged.csv"
+    damaged.write_text("time [s],v [m/s]\n0,1\n1,2\n")
+    capsys.readouterr()
+    assert run(["validate", str(out), "--measurements", str(damaged)]) == 2
+    assert "damaged.csv: has no input 'u'" in capsys.readouterr().err
     capsys.readouterr()
     assert run(["validate", str(out / "diagnosis.json"), str(other), "--json", str(tmp_path / "v.json")]) == 0
     gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]

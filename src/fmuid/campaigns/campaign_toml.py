@@ -200,7 +200,7 @@ class _Document(Table):
 def load_campaign(
     path: str | Path,
     *,
-    measurements: str | Path | None = None,
+    measurements: str | Path | Measurements | None = None,
     judged: bool = False,
     trust: bool = False,
     planned: bool = False,
@@ -212,7 +212,7 @@ def load_campaign(
     path
         The campaign's folder, or the TOML file itself.
     measurements
-        A measurement file to use instead of the one in the campaign.
+        Measurements, or a file of them, to use instead of the ones in the campaign.
     judged
         Use every run for validation and ignore [roles], since `measurements` contains other runs.
     trust
@@ -240,10 +240,11 @@ def load_campaign(
     head = convert(document.campaign, _CampaignTable, f"{file} [campaign]")
     _check_names(head, document, file)
     folder = file.parent
-    source = folder / head.measurements if measurements is None else Path(measurements)
+    given = measurements if isinstance(measurements, Measurements) else None
+    source = Path(measurements) if isinstance(measurements, str | Path) else folder / head.measurements
     make = f"make it with: {head.make}" if head.make and measurements is None else None
-    planned = planned and not source.exists()
-    recorded = Measurements({}) if planned else read_measurements(source, fix_missing=make)
+    planned = planned and given is None and not source.exists()
+    recorded = given or (Measurements({}) if planned else read_measurements(source, fix_missing=make))
     if planned:
         document.signals, document.roles, document.stages, document.effects = {}, {}, {}, None
     outliers: tuple[Outliers, ...] = ()

@@ -21,6 +21,7 @@ from fmuid.core.errors import FmuidError
 
 if TYPE_CHECKING:
     from fmuid.core.campaign import Campaign
+    from fmuid.core.experiments import Measurements
     from fmuid.identification.result import Result
     from fmuid.identification.validate import Validation
     from fmuid.simulation.runners import Runner
@@ -140,7 +141,11 @@ def validate(
         ),
     ] = None,
     measurements: Annotated[
-        Path | None, typer.Option(help="For a diagnosis: validate on all runs of this measurement file.")
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="For a diagnosis: validate on all runs of a measurement file, or on logs such as CSV (repeat).",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -166,10 +171,10 @@ def validate(
     with supervised(workers, time_limit, memory_limit) as runner:
         if run.suffix == ".json" or (run / "diagnosis.json").is_file():
             file = run if run.suffix == ".json" else run / "diagnosis.json"
-            asked = _Judged(file, campaign, measurements, tuple(experiment or ()))
+            asked = _Judged(file, campaign, tuple(measurements or ()), tuple(experiment or ()))
             printer.write(_diagnosis_validation(asked, printer, runner))
             return 0
-        if measurements is not None:
+        if measurements:
             raise FmuidError("is for a diagnosis", where="--measurements", fix="choose a campaign with these runs")
         validation = _validated(Result.from_json(run), printer, runner, campaign, experiment)
     printer.write(_validation(validation, printer, out))
@@ -330,7 +335,7 @@ class _Judged(NamedTuple):
 
     file: Path
     campaign: Path | None
-    measurements: Path | None
+    measurements: tuple[Path, ...]
     experiments: tuple[str, ...]
 
 
@@ -342,11 +347,12 @@ def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> d
     campaign = asked.campaign or answer.get("campaign")
     if campaign is None:
         raise FmuidError("no campaign to validate on", where=asked.file, fix="give one as second argument")
-    loaded, file = load_campaign(campaign), asked.measurements
-    others = None if file is None else load_campaign(campaign, measurements=file, judged=True)
+    loaded = load_campaign(campaign)
+    recorded = _recorded(asked.measurements, loaded)
+    others = load_campaign(campaign, measurements=recorded, judged=True) if recorded is not None else None
     written = asked.file.parent / FOLDER / "campaign.toml"
     corrected = (
-        load_campaign(written, measurements=file, judged=file is not None)
+        load_campaign(written, measurements=recorded, judged=recorded is not None)
         if answer.get("corrected") and written.is_file()
         else None
     )
@@ -356,6 +362,18 @@ def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> d
         )
     print_validation(validation, answer, printer)
     return {"diagnosis": asked.file, "campaign": campaign, **validation.to_dict()}
+
+
+def _recorded(files: tuple[Path, ...], campaign: Campaign) -> Measurements | None:
+    """Return the runs of a measurement file, or of logs with the campaign's columns; None without a file."""
+    from fmuid.data.measurements import read_measurements
+    from fmuid.data.recordings.conversion import further_runs
+
+    if not files:
+        return None
+    if len(files) == 1 and files[0].suffix in (".h5", ".hdf5"):
+        return read_measurements(files[0])
+    return further_runs(files, campaign.measurements)
 
 
 def _found_before(folder: Path) -> Result | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError, UnitError
-from fmuid.core.experiments import NEAR_TIMES, SAME_TIMES, Causality, Experiment, Signal
+from fmuid.core.experiments import NEAR_TIMES, SAME_TIMES, Causality, Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import check_unit
 from fmuid.data.crosscheck_csv import Table
@@ -157,6 +157,58 @@ def experiment_from_table(
             raise MeasurementsError(f"column '{name}': {error.what}", where=id, fix=error.fix) from None
         signals[name] = Signal(name, values, unit, causality, sigmas.get(name), resampled.get(name, ""))
     return Experiment(id, setup, table.time, signals, settings or {}, setting_units or {})
+
+
+def further_runs(logs: Sequence[Path], known: Measurements) -> Measurements:
+    """Read further runs of a known rig from logs with the same columns; units that they do not state are known.
+
+    Parameters
+    ----------
+    logs
+        One file a run; its name is the run's id.
+    known
+        Earlier runs: their signals, and the setup, settings and machine if these are the same for all.
+
+    Raises
+    ------
+    MeasurementsError
+        A log cannot be read or lacks an input or every output, or the earlier runs differ in setup, settings or
+        machine.
+    """
+    first, *others = known
+    for other in others:
+        for what in ("setup", "settings", "machine"):
+            if getattr(other, what) != getattr(first, what):
+                fix = "import the logs with fmuid import, which is told, and give the measurement file"
+                raise MeasurementsError(f"the campaign's runs differ in {what}", where=logs[0], fix=fix)
+    signals = {name: signal for run in reversed([*known]) for name, signal in run.signals.items()}
+    experiments: dict[str, Experiment] = {}
+    for log in logs:
+        if log.stem in experiments:
+            raise MeasurementsError(f"a run '{log.stem}' already exists", where=log, fix="rename the file")
+        run = read_run(log)
+        table = run.table
+        used = [name for name in table.columns if name in signals]
+        if lacking := [name for name in first.inputs if name not in used]:
+            fix = suggestion(lacking[0], table.columns)
+            raise MeasurementsError(f"has no input '{lacking[0]}'", where=log, fix=fix)
+        if not set(used) - first.inputs.keys():
+            fix = f"it needs at least one of {', '.join(n for n in signals if n not in first.inputs)}"
+            raise MeasurementsError("has no output of the campaign", where=log, fix=fix)
+        made = experiment_from_table(
+            Table(table.time, {n: table.columns[n] for n in used}, {}),
+            id=log.stem,
+            setup=first.setup,
+            inputs=first.inputs,
+            units={n: table.units.get(n) or signals[n].unit for n in used},
+            sigmas={n: s for n in used if (s := signals[n].sigma) is not None},
+            settings=first.settings,
+            setting_units=first.setting_units,
+            resampled=run.resampled,
+        )
+        unused = {n: replace(s, values=table.columns[n]) for n, s in first.unused.items() if n in table.columns}
+        experiments[made.id] = replace(made, machine=first.machine, unused=unused)
+    return replace(known, experiments=with_repeats(experiments))
 
 
 def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]:
