@@ -23,7 +23,7 @@ from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import calibration
 from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import estimates, refit_only
-from fmuid.diagnosis.corrected import FOLDER, Corrected, difference, write_corrected
+from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_corrected
 from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
@@ -552,4 +552,4 @@ def _write_corrected(
     if written is None:
         return None
     fit_to = subject if law is None else law.subject
-    return replace(written, differs=difference(written, fit_to, fitted, runner=runner))
+    return checked(written, fit_to, fitted, runner=runner)

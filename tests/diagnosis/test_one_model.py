@@ -13,7 +13,7 @@ from fmuid.core.campaign import Campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.candidates import Fitted, fit_effects
-from fmuid.diagnosis.corrected import difference, write_corrected
+from fmuid.diagnosis.corrected import checked, write_corrected
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import Subject, subject_of, tightened
 from fmuid.simulation.coupled.loading import load_simulator
@@ -102,7 +102,9 @@ def written_differs(rig: Rig, id: str, folder: Path) -> tuple[float, float]:
     assert written is not None
     plain, with_it = subject.model.predict([rig.nominal.fit.values, values])
     moved = max(float(np.abs(a - b).max()) for a, b in zip(plain, with_it, strict=True))
-    return difference(written, subject, fitted, runner=in_process), moved
+    written = checked(written, subject, fitted, runner=in_process)
+    assert not written.notes
+    return written.differs, moved
 
 
 @pytest.mark.parametrize("rig", INPUTS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -103,13 +103,14 @@ def write_corrected(
     return document.write(runner)
 
 
-def difference(written: Corrected, subject: Subject, fitted: Fitted, *, runner: Runner) -> float:
-    """Simulate the corrected campaign, and return how much it differs from the fitted prediction.
+def checked(written: Corrected, subject: Subject, fitted: Fitted, *, runner: Runner) -> Corrected:
+    """Simulate the corrected campaign, also with its Modelica files built again, and compare it with the fit.
 
     Returns
     -------
-    float
-        Root mean square over all samples, in standard deviations of a single run's noise.
+    Corrected
+        With the larger difference from the fitted prediction: root mean square over all samples, in standard
+        deviations of a single run's noise. A note gives the reason if a Modelica file cannot be built again.
 
     Raises
     ------
@@ -117,30 +118,84 @@ def difference(written: Corrected, subject: Subject, fitted: Fitted, *, runner: 
         A run cannot be simulated.
     """
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.simulation.coupled.loading import load_simulator
 
     campaign = load_campaign(written.folder / "campaign.toml")
+    campaigns, notes = [campaign], list(written.notes)
+    try:
+        campaigns += [] if (again := _built_again(campaign, written)) is None else [again]
+    except (ModelicaError, FmuidError) as error:
+        notes.append(f"the corrected Modelica source cannot be built again: {error}")
+    (expected,) = subject.model.predict([fitted.fit.values])
+    if isinstance(expected, SimulationError):
+        raise expected
+    differs = max(_difference(one, subject, fitted, expected, runner) for one in campaigns)
+    return replace(written, differs=differs, notes=tuple(notes))
+
+
+def _difference(
+    campaign: Campaign, subject: Subject, fitted: Fitted, expected: Prediction, runner: Runner
+) -> float:
+    from fmuid.simulation.coupled.loading import load_simulator
+
     cases = subject.model.cases_at(fitted.fit.values)
     chosen = [campaign.measurements[name] for case in cases for name in case.experiments]
     simulators = {case.setup: load_simulator(campaign.models[case.setup]) for case in cases}
     again = {case.id: case for case in in_segments(campaign, chosen, simulators, campaign.start_values)}
-    fitted_to = {case.id: case.with_model(again[case.id].simulator).task for case in cases}
-    same = tuple(replace(again[case.id], task=fitted_to[case.id], lead=case.lead) for case in cases)
-    outcomes = [
-        *subject.model.predict([fitted.fit.values]),
-        *CampaignModel(same, runner, campaign.start_values).predict([{}]),
-    ]
-    predictions = []
-    for outcome in outcomes:
-        if isinstance(outcome, SimulationError):
-            raise outcome
-        predictions.append(outcome)
+    same = []
+    for case in cases:
+        there = again[case.id]
+        task = case.with_model(there.simulator).task.with_names(_quoted(there.simulator.variables))
+        same.append(replace(there, task=task, lead=case.lead))
+    (outcome,) = CampaignModel(tuple(same), runner, campaign.start_values).predict([{}])
+    if isinstance(outcome, SimulationError):
+        raise outcome
     energy, count = 0.0, 0
-    for run, a, b in zip(subject.observed.runs, *predictions, strict=True):
+    for run, a, b in zip(subject.observed.runs, expected, outcome, strict=True):
         sigma = subject.observed.noise[run.setup].of_mean(1)
         energy += float(np.sum(((a - b) / sigma[:, None]) ** 2))
         count += a.size
     return float(np.sqrt(energy / count))
+
+
+def _built_again(campaign: Campaign, written: Corrected) -> Campaign | None:
+    """Return the corrected campaign with models built from the Modelica files written; None if there is none.
+
+    Parameters have the values in these files, unless they differ from run to run.
+    """
+    models, parameters = dict(campaign.models), dict(campaign.parameters)
+    for setup, spec in campaign.models.items():
+        file = None if spec.source is None else written.folder / f"{_stem(spec.source)}Corrected.mo"
+        if spec.source is not None and file in written.files:
+            source = ModelSource(file, file.stem, roots=spec.source.roots)
+            fmu = built_model(source)
+            variables = load_model(replace(spec, fmu=fmu, source=source)).variables
+            models[setup] = replace(_with_names(spec, _quoted(variables)), fmu=fmu, source=source)
+            inside = [n for n in parameters if models[setup].variable(n) in variables]
+            parameters = {n: p for n, p in parameters.items() if n not in inside or p.per != "campaign"}
+    return replace(campaign, models=models, parameters=parameters) if models != campaign.models else None
+
+
+def _with_names(spec: ModelSpec, names: Mapping[str, str]) -> ModelSpec:
+    """Return the specification for a model that has other names for some of its variables."""
+
+    def renamed(text: str) -> str:
+        if text in names:
+            return names[text]
+        if text.startswith("gradient("):
+            return f"gradient({renamed(text[len('gradient(') : -1])})"
+        signal, prop = signal_and_property(text) or (text, "")
+        if prop.startswith("crosstalk["):
+            prop = f"crosstalk[{renamed(prop[len('crosstalk[') : -1])}]"
+        return f"{names.get(signal, signal)}.{prop}" if prop else text
+
+    known = {**{n: n for n in (*names, *spec.signal_effects)}, **spec.map}
+    effects = tuple(map(renamed, spec.signal_effects))
+    return replace(spec, map={name: renamed(v) for name, v in known.items()}, signal_effects=effects)
+
+
+def _quoted(variables: Iterable[str]) -> dict[str, str]:
+    """Return the quoted identifiers among variables of a flattened model, by what is between the quotes."""
+    return {name[1:-1]: name for name in variables if name.startswith("'") and name.endswith("'")}
 
 
 class _Document:

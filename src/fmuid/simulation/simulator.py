@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -116,6 +116,22 @@ class Task:
         object.__setattr__(self, "inputs", frozen_mapping({k: read_only(v) for k, v in self.inputs.items()}))
         object.__setattr__(self, "start_values", frozen_mapping(self.start_values))
         object.__setattr__(self, "along", tuple(frozen_mapping(d) for d in self.along))
+
+    def with_names(self, names: Mapping[str, str]) -> Task:
+        """Return the task for a model that has other names for some of its variables."""
+
+        def renamed(known: Iterable[str]) -> tuple[str, ...]:
+            return tuple(names.get(name, name) for name in known)
+
+        return replace(
+            self,
+            inputs=dict(zip(renamed(self.inputs), self.inputs.values(), strict=True)),
+            outputs=renamed(self.outputs),
+            start_values=dict(zip(renamed(self.start_values), self.start_values.values(), strict=True)),
+            linear=renamed(self.linear),
+            after=renamed(self.after),
+            band_limited=renamed(self.band_limited),
+        )
 
 
 class EndedError(SimulationError):
