@@ -92,6 +92,19 @@ def test_what_the_better_model_leaves_widens_a_separation():
     assert decide.spread(0.4) == pytest.approx(3.0)
 
 
+def test_start_states_of_every_run_are_paid_for():
+    """100 samples, an effect with one parameter, and two runs with three start states each."""
+    taken = tuple(np.zeros((50, 3)) for _ in range(2))
+    band = tuple(np.ones(50, dtype=bool) for _ in range(2))
+    observed = SimpleNamespace(repeats=np.ones(2), nuisances=taken, in_band=band, taken=[np.zeros(50)] * 2)
+    started = Refit((), {}, (np.ones(50), np.ones(50)), (), 100.0, 0, True)  # leaves nothing beyond noise
+    nominal = fitted((), 2.0, cost=500.0)
+    for cost in (120.0, 130.0):
+        explained = fitted(("drag",), np.sqrt(cost / 100.0 - 1.0), cost=cost, parameters=1)
+        expected = (cost - 100.0) / 2.0 - 0.5 * (6 - 1) * np.log(100.0)
+        assert decide.odds_of_starts(started, nominal, explained, observed) == pytest.approx(expected)
+
+
 def test_noise_that_is_a_bound_counts_as_large_as_what_is_left_where_models_differ():
     single = Recorded(np.array([1.0, 1.0]), bounded=True)
     a = fitted(("a",), 0.0, residuals=[[1.0, 0.0], [3.0]])

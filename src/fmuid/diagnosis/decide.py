@@ -21,8 +21,8 @@ from fmuid.core.units import conversion
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure
 from fmuid.diagnosis.free_functions import Decoy
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed
-from fmuid.diagnosis.refit import about
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap
+from fmuid.diagnosis.refit import Refit, about
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import NONE, UNKNOWN, Closure, Kind, Tolerated
@@ -78,6 +78,22 @@ def log_odds(a: Fitted, b: Fitted, observed: Observed) -> float:
 def log_evidence(nominal: Fitted, fitted: Fitted) -> float:
     """Return the logarithm of the marginal likelihood of `fitted` over that of `nominal` (Schwarz 1978)."""
     return 0.5 * (nominal.fit.cost - fitted.fit.cost) - _price(fitted) + _price(nominal)
+
+
+def odds_of_starts(started: Refit, nominal: Fitted, explained: Fitted, observed: Observed) -> float:
+    """Return the logarithm of the odds of the nominal model `started` elsewhere in each run, against an effect.
+
+    As in `log_odds`; each start state of each run is a parameter. `observed` has these states as nuisances.
+    """
+    left = float(np.mean(observed.repeats)) * min(gap(started.residuals, observed), explained.gap) ** 2
+    states = sum(int(basis.shape[1]) for basis in observed.nuisances)
+    price = 0.5 * float(states * np.log(nominal.held_out.size.sum()))
+    return (
+        (explained.fit.cost - started.cost) / (2.0 * spread(left) ** 2)
+        - price
+        + _price(explained)
+        - _price(nominal)
+    )
 
 
 def _price(fitted: Fitted) -> float:
