@@ -54,9 +54,15 @@ class Chosen(Proposal):
 @dataclass(frozen=True, slots=True, eq=False)
 class _Column:
     term: Term
-    parts: tuple[FloatArray, ...]
+    amounts: FloatArray  # (D,) of the driven responses that the response to the term is a sum of
+    driven: tuple[FloatArray, ...]  # (D, M) in each experiment
     signature: FloatArray  # of unit length, with the response to the fitted parameters projected off
     drop: float
+
+    @property
+    def parts(self) -> tuple[FloatArray, ...]:
+        """(M, 1) response in each experiment."""
+        return tuple((self.amounts @ responses)[:, None] for responses in self.driven)
 
 
 def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pairs: bool = True) -> list[Chosen]:
@@ -122,22 +128,22 @@ def _columns(subject: Subject, base: Refit, spot: Spot) -> list[_Column]:
     basis, residual = nominal_basis(base, observed), stack(base.residuals, observed)
     linear = _linear(spot)
     chosen, sums = spanning(*(np.array([np.concatenate(c) for c in every]) for every in (courses, linear)))
-    driven = moved_by(model, observed, base, port, (*linear, *(courses[k] for k in chosen)))
-    columns = []
-    for term, amounts in zip(spot.terms, sums, strict=True):
-        used = [(a, m) for a, m in zip(amounts, driven, strict=True) if a]
-        if any(m is None for _, m in used):
-            continue
-        parts = tuple(
-            np.sum([a * m[k] for a, m in used if m is not None], axis=0)[:, None] for k in range(len(model.cases))
-        )
-        whole = stack(parts, observed)[:, 0]
-        signature = project_off(whole, basis)
-        length = float(np.linalg.norm(signature))
-        if length > 1e-3 * float(np.linalg.norm(whole)) and length > 1.0:
-            signature /= length
-            columns.append(_Column(term, parts, signature, float(signature @ residual) ** 2))
-    return columns
+    moved = moved_by(model, observed, base, port, (*linear, *(courses[k] for k in chosen)))
+    works = [m for m in moved if m is not None]
+    if not works:
+        return []
+    fails = np.array([m is None for m in moved])
+    driven = tuple(map(np.stack, zip(*works, strict=True)))
+    usable = np.all(sums[:, fails] == 0.0, axis=1)
+    amounts = sums[usable][:, ~fails]
+    whole = stack([(amounts @ responses).T for responses in driven], observed)
+    signatures = np.ascontiguousarray(project_off(whole, basis).T)
+    lengths = np.linalg.norm(signatures, axis=1)
+    seen = (lengths > 1e-3 * np.linalg.norm(whole, axis=0)) & (lengths > 1.0)
+    signatures /= np.where(seen, lengths, 1.0)[:, None]
+    drops = (signatures @ residual) ** 2
+    terms = [spot.terms[k] for k in np.flatnonzero(usable)]
+    return [_Column(terms[k], amounts[k], driven, signatures[k], float(drops[k])) for k in np.flatnonzero(seen)]
 
 
 def _linear(spot: Spot) -> list[tuple[FloatArray, ...]]:
