@@ -179,7 +179,7 @@ def further_runs(logs: Sequence[Path], known: Measurements) -> Measurements:
     for other in others:
         for what in ("setup", "settings", "machine"):
             if getattr(other, what) != getattr(first, what):
-                fix = "import the logs with fmuid import, which is told, and give the measurement file"
+                fix = "import the logs with fmuid import, and give the measurement file"
                 raise MeasurementsError(f"the campaign's runs differ in {what}", where=logs[0], fix=fix)
     signals = {name: signal for run in reversed([*known]) for name, signal in run.signals.items()}
     experiments: dict[str, Experiment] = {}
