@@ -340,17 +340,16 @@ def script(build) -> subprocess.Popen[str]:
         import numpy as np
         from fmuid.simulation.fmu import load_fmu
         from fmuid.simulation.simulator import Task
-        from fmuid.simulation.pool.workers import WorkerPool
+        from fmuid.simulation.pool.choice import runner_on
         fmu = load_fmu({str(build(2))!r})
         task = Task(np.arange(301) * 1e-3, {{}}, ("y",))
         if __name__ == "__main__":
-            try:
-                with WorkerPool(2, time_limit=60) as pool:
-                    pids = [pool.submit(os.getpid).result()]
-                    print(*pids, flush=True)
-                    pool.run([(fmu, task, {{"fault": {FAULTS["hang"]}}})] * 4)
-            except KeyboardInterrupt:
-                print("interrupted")
+            with runner_on(2, time_limit=3000) as run:
+                try:
+                    print(run.func.__self__.submit(os.getpid).result(), flush=True)
+                    run([(fmu, task, {{"fault": {FAULTS["hang"]}}})] * 4)
+                except KeyboardInterrupt:
+                    print("interrupted")
     """
     return subprocess.Popen([sys.executable, "-c", textwrap.dedent(source)], stdout=subprocess.PIPE, text=True)
 
@@ -382,7 +381,7 @@ def test_workers_go_when_the_search_is_interrupted_or_killed(build, how):
     while processor_time(pid) < begun + 0.3:  # it spins in the FMU
         time.sleep(0.01)
     os.kill(process.pid, how)
-    out, _ = process.communicate(timeout=600)
+    out, _ = process.communicate(timeout=600)  # of the 3000 s that a simulation may take
     assert out == ("interrupted\n" if how == signal.SIGINT else "")
     assert gone(pid)
 

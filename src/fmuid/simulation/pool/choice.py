@@ -42,8 +42,11 @@ def runner_on(
         runner = on_executor(executor, **limits)
         yield runner if heard is None else reporting_after(runner, heard)
     elif workers != 0:
-        with WorkerPool(workers, **limits) as pool:
+        pool = WorkerPool(workers, **limits)
+        try:
             yield partial(pool.run, heard=heard)
+        finally:
+            pool.shutdown(cancel_futures=True)  # nobody waits for what an interrupted search has left running
     elif limits:
         raise FmuidError(f"a {next(iter(limits)).replace('_', ' ')} needs worker processes", fix="use workers = 1")
     else:
