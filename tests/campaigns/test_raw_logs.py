@@ -74,6 +74,17 @@ def test_a_file_that_has_times_takes_no_rate(tmp_path: Path) -> None:
     assert (list(table.columns), table.units) == (["x", "y"], {"x": "m"})
 
 
+def test_a_temperature_called_t_is_no_time(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("T [K],P [W]\n293,1\n294,2\n")
+    assert list(read_csv(tmp_path / "a.csv", TableLayout(rate=5.0)).columns) == ["T", "P"]
+    with pytest.raises(MeasurementsError, match="has no column of times; choose one"):
+        read_csv(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text("T,x,t\n293,1,0\n294,2,0.5\n")
+    np.testing.assert_array_equal(read_csv(tmp_path / "b.csv").time, [0, 0.5])
+    frame = pandas.DataFrame({"T [degC]": [20.0, 21.0], "P [W]": [1.0, 2.0]})
+    assert list(read_run(frame, name="log", layout=TableLayout(rate=1.0)).table.columns) == ["T", "P"]
+
+
 def test_units_after_an_underscore(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t_ms;u_V;i_A;phi_start;T_degC\n0;1;2;3;4\n10;1;2;3;5\n")
     table = read_csv(tmp_path / "a.csv")

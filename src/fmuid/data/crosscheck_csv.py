@@ -143,7 +143,7 @@ def _over_time(
     path: Path,
 ) -> Table:
     """Return columns as a table over the times in one of them, or of the layout's rate."""
-    time_name = next((name for name in columns if name.casefold() in TIMES), None)
+    time_name = time_column({name: units.get(name) for name in columns})
     rows = len(next(iter(columns.values()), ()))
     if rows < 2:
         raise MeasurementsError(f"has {rows} row(s) of values", where=path, fix="a run has at least 2 samples")
@@ -161,6 +161,17 @@ def _over_time(
     if not columns:
         raise MeasurementsError("has no column except time", where=path, fix="add the signals")
     return Table(time, columns, units, tuple(notes))
+
+
+def time_column(units: Mapping[str, str | None]) -> str | None:
+    """Return the column of times among those with these units; a `T` in kelvin is a temperature."""
+    named = [name for name, unit in units.items() if name.casefold() in TIMES and _may_be_time(name, unit)]
+    return min(named, key=lambda name: (TIMES.index(name.casefold()), name != name.casefold()), default=None)
+
+
+def _may_be_time(name: str, unit: str | None) -> bool:
+    """Return whether a name of times is one; a single letter also stands for other quantities."""
+    return len(name) > 1 or not unit or not _is_unit(unit) or convertible(unit, "s")
 
 
 def two_time_axes(time_name: str, path: Path) -> MeasurementsError:

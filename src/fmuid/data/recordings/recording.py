@@ -13,7 +13,7 @@ from fmu_build.suggest import known_names, suggestion
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
-from fmuid.data.crosscheck_csv import PER_MINUTE, TIMES, Table, name_and_unit, per_minute_note, two_time_axes
+from fmuid.data.crosscheck_csv import PER_MINUTE, Table, name_and_unit, per_minute_note, time_column, two_time_axes
 from fmuid.data.table_layout import TableLayout, source_of
 
 _STEPS = ("Ts", "ts", "dt", "Fs", "fs")  # names of a sample time or rate
@@ -122,7 +122,7 @@ def _chosen(columns: Mapping[str, Column], layout: TableLayout, path: Path) -> d
 
 def _times(columns: Mapping[str, Column], layout: TableLayout, path: Path) -> tuple[str | None, FloatArray]:
     """Return the name of the column of times, None for a rate, and the times."""
-    name = next((n for n in columns if n.casefold() in TIMES), None)
+    name = time_column({n: column.unit for n, column in columns.items()})
     if layout.rate is not None:
         if name is not None:
             raise two_time_axes(name, path)
