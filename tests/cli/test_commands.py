@@ -535,7 +535,7 @@ def test_import_refuses(
         ("0,1,3", "run.csv: 2 of 2 rows have the time of another row; write times with more digits, or choose the other columns (--columns) and give --rate"),
         ("-1,1,3", "run.csv: time goes back from 0 s to -1 s in sample 1; sort the rows by time"),
         ('1,"1,3', "run.csv line 3: is not CSV (unexpected end of data); correct the quotes"),
-        ("", "run.csv: has 1 row(s) of values; a run has at least 2 samples"),
+        ("", "run.csv: has 1 row of values; a run has at least 2 samples"),
     ],
 )  # fmt: skip
 def test_import_refuses_rows(
