@@ -146,7 +146,9 @@ def _over_time(
     time_name = time_column({name: units.get(name) for name in columns})
     rows = len(next(iter(columns.values()), ()))
     if rows < 2:
-        raise MeasurementsError(f"has {counted(rows, 'row')} of values", where=path, fix="a run has at least 2 samples")
+        raise MeasurementsError(
+            f"has {counted(rows, 'row')} of values", where=path, fix="a run has at least 2 samples"
+        )
     if layout.rate is not None:
         if time_name is not None:
             raise two_time_axes(time_name, path)
