@@ -388,7 +388,7 @@ def _starts(subject: Subject, fitted: Fitted, score: Score) -> list[Mapping[str,
 
 
 def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> Fitted | None:
-    """Refit `fitted` with some effects `exchanged` for the same laws at other ports, from where it is."""
+    """Refit `fitted` with some effects `exchanged` for the same laws at other ports, or for similar ones."""
     by_id = subject.by_id
     values = dict(fitted.fit.values)
     for name in exchanged:

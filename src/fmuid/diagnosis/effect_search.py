@@ -303,8 +303,10 @@ def _moved(
 ) -> Iterator[Fitted]:
     """Yield refits of `best` with one of its laws at another port where it does much the same.
 
-    Sets that are known to fit about as well are left out.
+    If `best` leaves a gap, one of its laws may only resemble the plant's, so others that do much the same at its
+    port are tried as well. Sets that are known to fit about as well are left out.
     """
+    exact = exact_enough(subject, best)
     good = {frozenset(c.effects) for c in candidates if c.fit.cost <= about(best.fit.cost)}
     by_id = subject.by_id
     signatures = {s.effect: s.signature for s in scores if s.signature is not None}
@@ -312,8 +314,9 @@ def _moved(
         rest, before = frozenset(best.effects) - {name}, signatures.get(name)
         for score in (s for s in scores if s.effect not in best.effects):
             there = signatures.get(score.effect)
-            same = by_id[score.effect].law == by_id[name].law != "value"
-            alike = same and before is not None and there is not None and similarity(before, there) > _ALIKE
+            one, other = by_id[name], by_id[score.effect]
+            related = one.law == other.law != "value" or (one.port == other.port and not exact)
+            alike = related and before is not None and there is not None and similarity(before, there) > _ALIKE
             if alike and rest | {score.effect} not in good:
                 exchanged = moved(subject, best, {name: score})
                 if exchanged is not None:
