@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fmu_build import build
-from tests.conftest import MODELICA
+from tests.conftest import MODELICA, c_compiler
 
 DRIVER = Path(__file__).with_name("driver.c")
 MODELS = ["pendulum", "train", "algebraic_loop", "dependent_start", "bouncing_ball", "stick_slip"]
@@ -18,7 +18,7 @@ MODELS = ["pendulum", "train", "algebraic_loop", "dependent_start", "bouncing_ba
 def run(sources: Path, folder: Path, *flags: str, under: tuple[str, ...] = (), driver: str = "driver.c") -> None:
     program = folder / "driver"
     files = [DRIVER.with_name(driver), *(f for f in sorted(sources.glob("*.c")))]
-    command = ["cc", "-std=gnu11", "-g", "-pthread", *flags, f"-I{sources}", "-o", program, *files, "-lm"]
+    command = [c_compiler(), "-std=gnu11", "-g", "-pthread", *flags, f"-I{sources}", "-o", program, *files, "-lm"]
     compiled = subprocess.run(command, capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
     done = subprocess.run([*under, program], capture_output=True, text=True, check=False)

@@ -12,6 +12,7 @@ import pytest
 import fmu_build
 from fmu_build.elimination import plan
 from fmu_build.straight import GROWTH, is_short, straight_code
+from tests.conftest import c_compiler
 
 FLAGS = ["-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fPIC", "-shared"]
 RUNTIME = Path(fmu_build.__file__).parent / "runtime"
@@ -36,7 +37,7 @@ def library(tmp_path_factory):
     (folder / "driver.c").write_text(DRIVER)
     subprocess.run(
         [
-            *("cc", *FLAGS, f"-I{RUNTIME}"),
+            *(c_compiler(), *FLAGS, f"-I{RUNTIME}"),
             "-o",
             folder / "linear.so",
             folder / "driver.c",
@@ -156,7 +157,9 @@ def test_straight_code_gives_the_same_bits(tmp_path, seed):
     (tmp_path / "code.c").write_text(STRAIGHT % (code, GROWTH))
     sources = [str(RUNTIME / f"{name}.c") for name in ("linear", "pivoting")]
     built = tmp_path / "code.so"
-    subprocess.run(["cc", *FLAGS, f"-I{RUNTIME}", "-o", built, tmp_path / "code.c", *sources, "-lm"], check=True)
+    subprocess.run(
+        [c_compiler(), *FLAGS, f"-I{RUNTIME}", "-o", built, tmp_path / "code.c", *sources, "-lm"], check=True
+    )
     library = ctypes.CDLL(str(built))
     given = [start, rows, order.columns, order.places, order.start, order.diagonal, order.rows]
     tables = [np.array(t, dtype=np.intc) for t in given]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import zipfile
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.data.crosscheck_csv import Table, write_csv
 from fmuid.simulation.fmu_description import library_name
+from tests.conftest import c_compiler
 
 SOURCE = Path(__file__).with_name("plants.c")
 Floats = np.ndarray
@@ -156,9 +156,9 @@ def plant_fmu(name: str, folder: Path, fmi: int = 2) -> Path:
     """Compile and pack a plant."""
     plant = PLANTS[name]
     library = folder / f"{name}{fmi}.so"
-    compiler = shutil.which("cc") or shutil.which("gcc") or ""
-    command = [compiler, "-std=gnu11", "-O1", "-shared", "-fPIC", f"-D{name}", f"-DFMI={fmi}", "-o", str(library)]
-    subprocess.run([*command, str(SOURCE), "-lm"], check=True, capture_output=True, text=True)
+    flags = ["-std=gnu11", "-O1", "-shared", "-fPIC", f"-D{name}", f"-DFMI={fmi}"]
+    command = [c_compiler(), *flags, "-o", str(library), str(SOURCE), "-lm"]
+    subprocess.run(command, check=True, capture_output=True, text=True)
     path = folder / f"{name.title()}{fmi}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", _description(name, plant, fmi))
@@ -223,7 +223,7 @@ class Gap:
     hidden, start
         Slope of the hidden states, and where they begin.
     drive
-        Inputs that act, for those that are commanded; `late` is by how many samples they act later.
+        Inputs that act, for those that are commanded; `late` is by how many samples the first one acts later.
     reads
         Readings of the states, shape (states, N), at times `t`, with inputs and hidden states.
     """
@@ -238,7 +238,8 @@ class Gap:
 
 def simulated(plant: Plant, gap: Gap, time: Floats, inputs: Floats) -> Floats:
     """Return the readings of a rig without noise, (states, N), by SciPy; inputs are held."""
-    acting = np.concatenate([np.repeat(inputs[:, :1], gap.late, 1), inputs], axis=1)[:, : time.size]
+    acting = inputs.copy()
+    acting[0] = inputs[0, np.maximum(np.arange(time.size) - gap.late, 0)]
     values, n = np.array(plant.values), len(plant.states)
     x0 = np.array(plant.start, dtype=float)
     both = [np.concatenate([x0, gap.start(x0, acting[:, 0])])]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import zipfile
 from pathlib import Path
 
 import fmpy
+
+from tests.conftest import c_compiler
 
 SOURCE = Path(__file__).with_name("oscillator.c")
 HEADERS = Path(fmpy.__file__).parent / "c-code"
@@ -117,10 +118,8 @@ def make_oscillator(
         folder
         / f"{name}{f'-even{even_steps}' if even_steps else ''}{'-interpolates' if interpolates else ''}{'-clock' if clock else ''}.fmu"
     )
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    assert compiler, "the tests need a C compiler"
     library = path.with_suffix(".so")
-    command = [compiler, "-std=gnu11", "-O0", "-shared", "-fPIC", "-Wno-div-by-zero", f"-DFMI={fmi}"]
+    command = [c_compiler(), "-std=gnu11", "-O0", "-shared", "-fPIC", "-Wno-div-by-zero", f"-DFMI={fmi}"]
     command += [*(f"-D{d}" for d in defines), f"-I{HEADERS}", "-o", str(library), str(SOURCE), "-lm"]
     subprocess.run(command, check=True, capture_output=True, text=True)
     place = fmpy.platform if fmi == 2 else fmpy.platform_tuple

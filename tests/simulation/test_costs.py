@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -21,7 +20,6 @@ from fmuid.simulation.pool.worker_process import resident_memory
 from fmuid.simulation.simulator import Task
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="the loop in C is compiled")
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +49,6 @@ def lines_of_python(run):
     return lines
 
 
-@needs_compiler
 @pytest.mark.parametrize("signals", [{}, {"u": np.sin(np.arange(2001) / 9)}], ids=["free", "driven"])
 def test_no_python_and_no_needless_call_between_two_steps(build, stepping, signals):
     """As in the loop that somebody would write in C for this FMU: set the inputs, step, get the outputs."""

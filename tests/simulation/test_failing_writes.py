@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import c_compiler
+
 HERE = Path(__file__).parent
 
 
@@ -18,7 +20,7 @@ def failing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The library that makes operations on files fail."""
     library = tmp_path_factory.mktemp("failing") / "failing_writes.so"
     source = str(HERE / "failing_writes.c")
-    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", source, "-o", str(library), "-ldl"], check=True)
+    subprocess.run([c_compiler(), "-shared", "-fPIC", "-O1", source, "-o", str(library), "-ldl"], check=True)
     return library
 
 
