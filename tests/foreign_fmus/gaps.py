@@ -122,12 +122,12 @@ GAPS: dict[str, dict[str, Gap]] = {
     "TANK": {
         "leakage@der(h1)": at(0, 2, lambda x, z: -6e-3 * x[0]),
         "leakage@der(h2)": at(1, 2, lambda x, z: -6e-3 * x[1]),
-        "outflow@der(h1)": at(0, 2, lambda x, z: -6e-3 * np.sqrt(max(x[0], 0.0))),
         "overflow@der(h1)": at(0, 2, lambda x, z: -0.1 * max(x[0] - 0.35, 0.0)),
         "overflow@der(h2)": at(1, 2, lambda x, z: -0.1 * max(x[1] - 0.4, 0.0)),
         "saturation@q": of_input(lambda u: min(u, 8e-4)),
         "lag@q": lagging_input(15.0),
         "delay@q": Gap(late=4),
+        "lag@h1": lagging_sensor(0, 10.0),
         "offset@h1": of_sensor(0, lambda y, u, t: y + 0.02),
         "lag@h2": lagging_sensor(1, 10.0),
     },
