@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fmuid import Simulator, Task, Variable, measured_case
+from fmuid.core.errors import ProblemError
 from fmuid.identification.problem.solver_error import UNSEEN, solver_accuracy
 from fmuid.simulation.runners import in_process
 
@@ -47,7 +48,7 @@ def test_a_prediction_is_solved_as_well_as_its_noise_asks_for(sigma):
     assert not accuracy.until
     if sigma == 1e-1:
         assert case.task.tolerance is None  # the model's own is good enough
-        assert model.asked == pytest.approx([1e-4, 1e-5, 1e-4])
+        assert model.asked == pytest.approx([1e-4] * 3 + [1e-5, 1e-4])  # two show that it repeats itself
 
 
 def test_a_diagnosis_begins_looser():
@@ -62,9 +63,19 @@ def test_a_run_that_never_settles_is_left_out_from_where_it_goes_astray():
     assert "cannot be predicted from" in accuracy.findings[0]
 
 
+def test_a_model_that_draws_random_numbers_is_not_blamed_on_its_tolerance():
+    class Drawing(Solved):
+        def simulate(self, task, parameters):
+            return super().simulate(task, parameters) + 0.01 * len(self.asked)
+
+    with pytest.raises(ProblemError, match=r"two equal simulations differ in y by up to 0\.01"):
+        accuracy_of(Drawing(worse=3.0), 1e-3)
+
+
 def test_a_model_without_a_tolerance_is_left_alone():
     case, _ = accuracy_of(Solved(worse=3.0), 1.0)
-    plain = replace(case, simulator=Solved(3.0, default_tolerance=None))
+    task = replace(case.task, tolerance=1e-4)
+    plain = replace(case, simulator=Solved(3.0, default_tolerance=None), task=task)
     accuracy = solver_accuracy([plain], {"a": 1.0}, [{"a": 1.0}], in_process)
     assert (accuracy.tolerances, accuracy.until) == ({}, {})
-    assert plain.simulator.asked == []
+    assert plain.simulator.asked == [1e-4, 1e-4]  # that show that it repeats itself

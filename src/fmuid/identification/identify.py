@@ -196,8 +196,9 @@ def identify(
         for step in plan:
             asked = posed(step, best, runner)
             asked = replace(asked, problem=sized(asked.problem))
-            if isinstance(step, Problem) and not history.stages:  # those of campaigns are checked when posed
-                check_repeatable(step.cases, step.space, step.runner)
+            here, nowhere = asked.problem.space.tried(asked.problem.space.start)
+            if isinstance(step, Problem) and nowhere is None and not history.stages:  # others were when posed
+                check_repeatable(step.cases, [case.start_values(here) for case in step.cases], step.runner)
             result = _stage(run, asked, known)
             results.append(result)
             run.identified.update(map(without_owner, asked.problem.space.names), asked.problem.space.ties)

@@ -110,10 +110,12 @@ class Problem:
         here, nowhere = space.tried(space.start)
         accuracy = SolverAccuracy()
         # Segments and observers keep predictions close to the measurements.
-        if settled:
-            check_repeatable(cases, space, runner)
-        if settled and nowhere is None and stage.segments is None and not stage.observer:
-            accuracy = solver_accuracy(cases, here, [case.start_values(here) for case in cases], runner)
+        if settled and nowhere is None:
+            starts = [case.start_values(here) for case in cases]
+            if stage.segments is None and not stage.observer:
+                accuracy = solver_accuracy(cases, here, starts, runner)
+            else:
+                check_repeatable(cases, starts, runner)
         if accuracy.until:
             cases = case_building.from_campaign(
                 campaign, experiments, stage.criteria, simulators, until=accuracy.until

@@ -17,7 +17,6 @@ import numpy as np
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.cases import Case
-from fmuid.identification.problem.search_space import SearchSpace
 from fmuid.simulation.pool.parcels import name_of
 from fmuid.simulation.runners import Outcome, Runner
 from fmuid.simulation.simulator import Task
@@ -60,28 +59,31 @@ class SolverAccuracy:
         )
 
 
-def check_repeatable(cases: Sequence[Case], space: SearchSpace, runner: Runner) -> None:
-    """Simulate one case of every model twice at the start of the search, unless that has no values.
+def check_repeatable(
+    cases: Sequence[Case],
+    starts: Sequence[Mapping[str, float]],
+    runner: Runner,
+    sigma: Sequence[FloatArray] | None = None,
+) -> None:
+    """Simulate one case of every model twice; the other arguments are those of `solver_accuracy`.
 
     Raises
     ------
     ProblemError
         The two simulations differ by more than the noise: the model draws random numbers, or keeps a state.
     """
-    here, nowhere = space.tried(space.start)
-    if nowhere is not None:
-        return
     first = {id(case.simulator): k for k, case in reversed(list(enumerate(cases)))}
-    jobs = [
-        (cases[k].simulator, cases[k].task, cases[k].start_values(here)) for k in first.values() for _ in range(2)
-    ]
+    jobs = [(cases[k].simulator, cases[k].task, starts[k]) for k in first.values() for _ in range(2)]
     outcomes = runner(jobs)
     for k, one, two in zip(first.values(), outcomes[::2], outcomes[1::2], strict=True):
         if isinstance(one, SimulationError) or isinstance(two, SimulationError):
             continue
         case, apart = cases[k], np.abs(np.asarray(one) - np.asarray(two))[:, cases[k].lead :]
         size = np.maximum(np.max(np.abs(np.asarray(one)), axis=1), np.finfo(float).tiny)
-        if np.all(apart <= _SAME * size[:, None]) or _moved(case, apart, None)[-1] < UNSEEN:
+        if (
+            np.all(apart <= _SAME * size[:, None])
+            or _moved(case, apart, None if sigma is None else sigma[k])[-1] < UNSEEN
+        ):
             continue
         worst = int(np.argmax(np.max(apart, axis=1) / size))
         raise ProblemError(
@@ -113,7 +115,13 @@ def solver_accuracy(
     loosest
         Tolerances to try, largest first; by default the case's own tolerance, which is then only tightened. A case
         that cannot be simulated keeps its own tolerance.
+
+    Raises
+    ------
+    ProblemError
+        Two equal simulations of a model differ (`check_repeatable`).
     """
+    check_repeatable(cases, starts, runner, sigma)
 
     def sensed(wanted: Sequence[tuple[int, Task]]) -> list[Outcome]:
         outcomes = runner([(cases[k].simulator, task, starts[k]) for k, task in wanted])
