@@ -26,6 +26,7 @@ SEEN = 5.0  # standard deviations: smaller effects would not be named
 _OVERSHOOT = 2.0  # response over the residual from which a trial is scaled down: laws and plants are not linear
 _PRIOR = 4.0  # runs that the noise floor counts for where scatter from run to run is estimated
 _SCALED = 4  # times
+_AT_ONCE = 64  # trials simulated together: their predictions are in memory, each as long as all runs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,9 +125,16 @@ def score_trials(
     predict: Predict, observed: Observed, base: Refit, trials: Sequence[tuple[Effect, Mapping[str, float]]]
 ) -> Iterator[Score | None]:
     """Yield the score of each trial, None for those that fail to simulate."""
-    outcomes = predict([{**base.values, **effect.neutral, **trial} for effect, trial in trials], near=base.values)
     basis = nominal_basis(base, observed)
     residual = stack(base.residuals, observed)
+    outcomes = (
+        outcome
+        for begin in range(0, len(trials), _AT_ONCE)
+        for outcome in predict(
+            [{**base.values, **e.neutral, **trial} for e, trial in trials[begin : begin + _AT_ONCE]],
+            near=base.values,
+        )
+    )
     for (effect, trial), outcome in zip(trials, outcomes, strict=True):
         if isinstance(outcome, SimulationError):
             yield None
