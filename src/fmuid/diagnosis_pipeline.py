@@ -66,17 +66,20 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
         values = {**outcome.subject.model.fixed, **{u.name: u.start for u in outcome.subject.nominal}}
         names = {without_owner(u.name) for u in outcome.subject.nominal}
         convention = chosen(conventions_of(cases, values, names, runner))
-        if convention.explains and convention.timing != campaign.models[setup].timing:
+        known = campaign.models[setup]
+        if convention.explains and (convention.timing, convention.read_after) != (known.timing, known.read_after):
             setups[setup] = convention
     if not setups:
         return None
-    models = {s: replace(m, timing=setups[s].timing) if s in setups else m for s, m in campaign.models.items()}
+    models = dict(campaign.models)
+    for s, c in setups.items():
+        models[s] = replace(models[s], timing=c.timing, read_after=c.read_after)
     timings = dict(campaign.timings)
     for setup, convention in setups.items():
         names_of = {campaign.models[setup].variable(n): n for e in campaign.measurements for n in e.outputs}
         timings |= {names_of.get(variable, variable): t for variable, t in convention.signals.items()}
     note = "; ".join(
-        f'\'{setup}\' was diagnosed with timing = "{c.timing}" instead of "{campaign.models[setup].timing}", which'
+        f"'{setup}' was diagnosed with {c.entries} instead of \"{campaign.models[setup].timing}\", which"
         f" explains the runs {c.worse:.2g} times better than held signals; write it in campaign.toml"
         for setup, c in setups.items()
     )

@@ -77,6 +77,17 @@ def test_the_convention_of_a_log_is_recognised(model: Fmu, how, timing, signals)
     assert (convention.timing, dict(convention.signals)) == (timing, signals)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.9])
+def test_the_time_from_inputs_to_readings_is_fitted(model: Fmu, share: float) -> None:
+    seen = [
+        SeenRun(model, Task(TIME, {"u": u}, OUTPUTS), noisy(plant(model, u, read_after=share), 0.002), in_process)
+        for u in (command(), command()[::-1].copy())
+    ]
+    convention = chosen(timing_conventions(seen, [model.variables[n] for n in ("R", "C", "G")]))
+    assert convention.timing == "held"
+    assert convention.read_after == pytest.approx(share, abs=0.1)
+
+
 @pytest.mark.parametrize(("interpolation", "timing"), [("hold", "held"), ("linear", "linear")])
 def test_the_convention_of_a_noisy_log_is_seen_from_sample_to_sample(model: Fmu, interpolation, timing) -> None:
     u = command()
@@ -144,6 +155,9 @@ def test_a_campaign_states_the_timing_of_a_model_and_of_single_signals(model: Fm
     mixed = load_campaign(campaign(model, tmp_path, 'timing = "held"', '[signals.u]\ntiming = "band-limited"\n'))
     (case,) = from_campaign(mixed, list(mixed.measurements), (), {"bench": model})
     assert (case.task.interpolation, case.task.band_limited) == ("hold", ("u",))
+    later = load_campaign(campaign(model, tmp_path, 'timing = "held"\nread_after = 0.4'))
+    (case,) = from_campaign(later, list(later.measurements), (), {"bench": model})
+    assert (case.task.interpolation, case.task.read_after) == ("hold", 0.4)
     old = load_campaign(campaign(model, tmp_path, 'interpolation = "linear"'))
     assert old.models["bench"].timing == "linear"
 
@@ -157,6 +171,8 @@ def test_a_campaign_states_the_timing_of_a_model_and_of_single_signals(model: Fm
             '[signals.u]\ntiming = "held-read-after"',
             "which inputs cannot have; choose held, linear or band-limited",
         ),
+        ('timing = "held"\nread_after = -0.1', "", "read_after is -0.1; write a positive number"),
+        ('timing = "preceding"\nread_after = 0.1', "", "read_after beside timing 'preceding'; remove one of them"),
         ("", '[signals.i]\ntiming = "linear"', "which outputs cannot have; choose held or held-read-after"),
         ("", "[signals.i]\nshift = 500", "shift is 500 s, longer than the run in run 'run'; write seconds"),
     ],

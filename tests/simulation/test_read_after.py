@@ -1,68 +1,90 @@
-"""Outputs that are read after the inputs of their sample act, as by a controller that sends a command and then reads."""
+"""Outputs that a recorder reads a part of a step after the inputs of their row act."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fmu_build import build
+from fmuid.core.errors import FmuError
 from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.segmented import Segmented
+from fmuid.simulation.signal_model import SignalModel
 from fmuid.simulation.simulator import Task
 
 MODEL = """
-model Winding
-  parameter Real R = 2;
-  parameter Real L = 0.5;
-  input Real u;
-  output Real i(start = 0, fixed = true);
-  output Real v = u - R*i "at the coil";
-  output Real doubled = 2*u;
+model Resonant
+  parameter Real k = 400;
+  input Real F;
+  input Real drag = 0;
+  output Real x(start = 0, fixed = true);
+  output Real v(start = 0, fixed = true);
+  output Real direct = 2*F;
 equation
-  L*der(i) = v;
-end Winding;
+  der(x) = v;
+  der(v) = F - (2 + drag)*v - k*x;
+end Resonant;
 """
-TIME = np.arange(0.0, 2.0, 0.05)
-U = np.where(np.sin(5 * TIME) > 0, 1.0, -0.5)
+STEP, AFTER = 0.02, 0.014
+TIME = STEP * np.arange(120)
+FORCE = np.repeat(np.random.default_rng(1).normal(size=24), 5)
+DRAG = 3.0 + np.sin(3.0 * TIME)
+TASK = Task(TIME, {"F": FORCE, "drag": DRAG}, ("x", "v", "direct"), linear=("drag",), read_after=AFTER)
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("winding")
-    (folder / "Winding.mo").write_text(MODEL)
-    return build(folder / "Winding.mo", "Winding", folder, "2")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("resonant")
+    (folder / "Resonant.mo").write_text(MODEL)
+    return build(folder / "Resonant.mo", "Resonant", folder, "2")
+
+
+def expected(fmu: Fmu, force: np.ndarray = FORCE) -> np.ndarray:
+    """The response on a grid ten times finer, of which every sample but the last has a reading after seven steps."""
+    grid = 0.1 * STEP * np.arange(10 * len(TIME))
+    inputs = {"F": np.repeat(force, 10), "drag": np.interp(grid, TIME, DRAG)}
+    return fmu.simulate(Task(grid, inputs, TASK.outputs, linear=("drag",)), {})[:, 7::10]
 
 
 @pytest.mark.parametrize("interface", ["co-simulation", "model exchange"])
-def test_outputs_are_read_before_or_after_the_input_acts(path, interface) -> None:
-    before = Task(TIME, {"u": U}, ("i", "v", "doubled"))
+def test_outputs_are_those_a_part_of_a_step_after_the_inputs(path: Path, interface) -> None:
     with Fmu(path, interface) as fmu:
-        plain = fmu.simulate(before, {"R": 3.0})
-        mixed = fmu.simulate(replace(before, after=("doubled",)), {"R": 3.0})
-        late = fmu.simulate(replace(before, after=("i", "v", "doubled")), {"R": 3.0})
-    held = np.append(U[0], U[:-1])
-    np.testing.assert_allclose(plain[1:], [held - 3 * plain[0], 2 * held], rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(mixed, [plain[0], plain[1], 2 * U])
-    np.testing.assert_array_equal(late[0], plain[0])  # a state does not depend on when it is read
-    np.testing.assert_allclose(late[1:], [U - 3 * plain[0], 2 * U], rtol=1e-9, atol=1e-12)
+        y, true = fmu.simulate(TASK, {}), expected(fmu)
+        at_once = fmu.simulate(replace(TASK, read_after=0.0), {})
+    assert y.shape == (3, len(TIME))
+    np.testing.assert_allclose(y, true, rtol=1e-3, atol=1e-6)
+    assert np.abs(at_once[:2] - true[:2]).max() > 0.1 * np.ptp(true[0])
+    np.testing.assert_array_equal(y[2], 2 * FORCE)  # the input of the same row
 
 
-def test_derivatives_belong_to_the_same_readings(path) -> None:
-    task = Task(TIME, {"u": U}, ("v", "i"), tolerance=1e-9, after=("v",))
-    with Fmu(path) as fmu:
-        above, below = (fmu.simulate(task, {"R": 3.0 + d, "L": 0.5}) for d in (1e-3, -1e-3))
-        exact = fmu.simulate(replace(task, along=({"R": 1.0},)), {"R": 3.0, "L": 0.5})[2:]
-    np.testing.assert_allclose(exact, (above - below) / 2e-3, atol=1e-6)
+def test_segments_and_derivatives_read_as_whole_runs_do(path: Path) -> None:
+    with Fmu(path, "co-simulation") as fmu:
+        task = replace(TASK, outputs=("x", "v"), along=({"k": 1.0},))
+        whole = fmu.simulate(task, {})
+        steps = [fmu.simulate(replace(TASK, outputs=("x", "v")), {"k": k}) for k in (401.0, 399.0)]
+        np.testing.assert_allclose(whole[2:], 0.5 * (steps[0] - steps[1]), rtol=1e-3, atol=1e-6)
+        known = np.ones_like(whole[:2])
+        segmented = Segmented(fmu, replace(task, along=()), 0.5, target=whole[:2], weight=known, at={})
+        np.testing.assert_allclose(segmented.simulate(replace(task, along=()), {}), whole[:2], atol=1e-4)
 
 
-def test_runs_that_share_their_beginning_do_so_up_to_the_input_that_is_read(path) -> None:
-    def task(begin: int, group: tuple[int, int] | None) -> Task:
-        u = np.where(np.arange(len(TIME)) >= begin, 2.0, 1.0)
-        return Task(TIME, {"u": u}, ("doubled", "i"), shared=group, after=("doubled",))
+def test_effects_at_signals_act_before_the_reading(path: Path) -> None:
+    with Fmu(path, "co-simulation") as fmu:
+        model = SignalModel(fmu, ("F.gain", "x.delay", "v.offset"))
+        scaled = model.simulate(TASK, {"F.gain": 0.5, "v.offset": 1.0})
+        np.testing.assert_allclose(scaled[0], expected(fmu, 0.5 * FORCE)[0], rtol=1e-3, atol=1e-6)
+        np.testing.assert_allclose(scaled[1] - 1.0, expected(fmu, 0.5 * FORCE)[1], rtol=1e-3, atol=1e-6)
+        late = model.simulate(TASK, {"x.delay": AFTER})[0]
+        at_once = fmu.simulate(replace(TASK, read_after=0.0), {})[0]
+    np.testing.assert_allclose(late, at_once, rtol=1e-3, atol=1e-6)
 
-    with Fmu(path) as fmu:
-        for begin in (12, 20, 16, 12):
-            shared = fmu.simulate(task(begin, (0, begin)), {"R": 3.0})
-            with Fmu(path) as other:
-                np.testing.assert_array_equal(shared, other.simulate(task(begin, None), {"R": 3.0}))
+
+def test_readings_after_the_next_inputs_and_beside_band_limited_ones_are_refused(path: Path) -> None:
+    with Fmu(path, "co-simulation") as fmu:
+        with pytest.raises(FmuError, match=r"read 0\.02 s after the inputs act, but the next inputs act before"):
+            fmu.simulate(replace(TASK, read_after=STEP), {})
+        with pytest.raises(FmuError, match="outputs are read after band-limited inputs"):
+            fmu.simulate(replace(TASK, linear=(), band_limited=("F",)), {})

@@ -64,6 +64,7 @@ class _ModelTable(CoupledTable):
     initial: dict[str, Any] = {}
     interpolation: Literal["hold", "linear", "preceding"] | None = None
     timing: Timing | None = None
+    read_after: float = 0.0
     interface: Literal["co-simulation", "model exchange"] | None = None
     source: str = ""
     class_: str = msgspec.field(name="class", default="")
@@ -520,6 +521,7 @@ def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
         map=frozen_mapping(table.map),
         initial=frozen_mapping(numbers(table.initial, f"{where} initial")),
         timing=_timing(table, where),
+        read_after=table.read_after,
         coupling=coupling,
         interface=table.interface,
         source=source,
@@ -531,7 +533,12 @@ def _timing(table: _ModelTable, where: str) -> Timing:
     if table.timing is not None and table.interpolation is not None:
         raise CampaignError("has timing and interpolation", where=where, fix="remove interpolation")
     old: dict[str | None, Timing] = {"hold": "held", "linear": "linear", "preceding": "preceding", None: "held"}
-    return table.timing or old[table.interpolation]
+    timing = table.timing or old[table.interpolation]
+    if table.read_after:
+        _positive("read_after", table.read_after, where)
+        if timing not in ("held", "linear"):
+            raise CampaignError(f"read_after beside timing '{timing}'", where=where, fix="remove one of them")
+    return timing
 
 
 def _source(table: _ModelTable, folder: Path, where: str) -> ModelSource | None:

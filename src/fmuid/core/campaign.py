@@ -65,7 +65,8 @@ class ModelSpec:
     `timing` says when input sample k acts and when outputs are read: ``held`` on [t_k, t_{k+1}), outputs just
     before it acts; ``held-read-after`` the same, but outputs just after it acts; ``linear`` between the samples;
     ``band-limited`` on their interpolation by a sinc (a recorder with an anti-aliasing filter); ``preceding`` on
-    (t_{k-1}, t_k] (a recorder that writes a row after each step).
+    (t_{k-1}, t_k] (a recorder that writes a row after each step). `read_after` is the time from then to the
+    reading of the outputs, s, for recorders that read in the middle of a step.
 
     `interface` says how the FMU is simulated: ``co-simulation`` (with the solver inside it) or ``model exchange``
     (with fmuid's solver, to its tolerance); None chooses co-simulation if the FMU supports it.
@@ -80,6 +81,7 @@ class ModelSpec:
     map: Mapping[str, str] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
     timing: Timing = "held"
+    read_after: float = 0.0
     coupling: Coupling | None = None
     interface: Interface | None = None
     source: ModelSource | None = None

@@ -371,6 +371,8 @@ class _Document:
             if self.campaign.models[setup].timing != old:
                 table.pop("interpolation", None)
                 table["timing"] = self.campaign.models[setup].timing
+            if self.campaign.models[setup].read_after:
+                table["read_after"] = self.campaign.models[setup].read_after
         signals = {name: dict(table) for name, table in raw.get("signals", {}).items()}
         for name, timing in self.campaign.timings.items():
             signals.setdefault(name, {})["timing"] = timing

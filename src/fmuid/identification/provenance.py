@@ -27,7 +27,7 @@ def fingerprint(problem: Problem, solver: Solver, options: Mapping[str, Any], se
         simulator = case.simulator
         digest.update(simulator.token.encode())
         task = case.task
-        how = (task.interpolation, task.linear, task.band_limited, task.after)
+        how = (task.interpolation, task.linear, task.band_limited, task.after, task.read_after)
         digest.update(repr((case.id, task.outputs, dict(task.start_values), *how)).encode())
         for array in (task.time, *task.inputs.values(), *(c.repeats for c in case.channels)):
             digest.update(np.ascontiguousarray(array).tobytes())

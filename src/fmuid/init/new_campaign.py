@@ -281,7 +281,9 @@ def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
 def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:
     timing = choice.timing
     lines = [_TIMINGS[timing.timing]] if driven else []
-    if timing.timing != "held":
+    if timing.read_after:
+        lines[0] += f", and outputs are read {timing.read_after:g} s after they act"
+    if not timing.plain:
         lines[0] += f"; held inputs explain the runs {timing.worse:.2g} times worse"
     if timing.signals:
         lines.append(f"read before the inputs act: {', '.join(timing.signals)}")
@@ -360,6 +362,11 @@ def _toml(
         "# (held-read-after); or linear between samples; or band-limited (as after an anti-aliasing filter); or",
         "# held since the preceding one (preceding).",
         f"timing = {toml_text(choice.timing.timing)}",
+        *(
+            [f"read_after = {choice.timing.read_after:g} # s, from inputs to the reading of outputs"]
+            if choice.timing.read_after
+            else []
+        ),
         *(
             ["# Simulated with fmuid's solver, not the FMU's.", f"interface = {toml_text(interface)}"]
             if interface

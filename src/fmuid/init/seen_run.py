@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -83,9 +84,10 @@ class SeenRun:
         """(outputs, N) response of the model, relative to the ranges."""
         return np.asarray(self.nominal / self.scale)
 
-    def timed(self, interpolation: Interpolation, after: tuple[str, ...] = ()) -> SeenRun:
+    def timed(self, interpolation: Interpolation, after: tuple[str, ...] = (), read_after: float = 0.0) -> SeenRun:
         """Return the same run with another timing of its signals, relative to the same ranges."""
-        task = replace(self._task, interpolation=interpolation, linear=(), band_limited=(), after=after)
+        timing: dict[str, Any] = {"linear": (), "band_limited": (), "after": after, "read_after": read_after}
+        task = replace(self._task, interpolation=interpolation, **timing)
         return SeenRun(self._model, task, self._measured, self._runner, values=self._values, scale=self.scale)
 
     def _at(self, values: Mapping[str, float]) -> SeenRun:

@@ -22,6 +22,8 @@ from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Variable
 
 _NEARLY = 0.5  # of the way between two conventions: another effect rarely looks like the whole way
+_SHARES = (0.25, 0.5, 0.75, 0.98)  # of a step, tried for the time from inputs to readings
+_WORTH_TRYING = 0.2  # of the way to readings half a step later, from which these are tried
 _CLEARLY = 0.8  # remaining share of the squared error for a convention to count as better
 _MOST_RUNS = 3
 _SURE = 12.0  # log likelihood ratio for a lost row, and for a convention where little else speaks for it
@@ -40,6 +42,8 @@ class Convention:
         Timing of the model.
     signals
         Outputs of the model that differ from it, with their timing.
+    read_after
+        Time from the inputs of a row to the reading of its outputs, s.
     worse
         Factor by which held signals explain the runs worse (squared error, free parameters refitted).
     evidence
@@ -51,15 +55,31 @@ class Convention:
 
     timing: Timing
     signals: Mapping[str, Timing] = field(default_factory=dict)
+    read_after: float = 0.0
     worse: float = 1.0
     evidence: float = 0.0
     along: float = 0.0
 
     @property
+    def plain(self) -> bool:
+        """Whether signals are held, and read when the inputs act."""
+        return self.timing == "held" and not self.read_after
+
+    @property
+    def entries(self) -> str:
+        """The entries of a model's table in campaign.toml."""
+        after = f" and read_after = {self.read_after:g}" if self.read_after else ""
+        return f'timing = "{self.timing}"{after}'
+
+    @property
     def explains(self) -> bool:
-        """Whether the runs support this convention against held signals."""
+        """Whether the runs support this convention against held signals; a fitted time is as far as they say."""
         better = self.worse > 1 / _CLEARLY or (self.worse > 1.0 and self.evidence > _SURE)
-        return better and abs(self.along - 1.0) < _NEARLY
+        return better and (self.read_after > 0.0 or abs(self.along - 1.0) < _NEARLY)
+
+    def surpasses(self, other: Convention) -> bool:
+        """Whether the runs support this convention, which has a fitted time, clearly against another one."""
+        return self.evidence > other.evidence + _SURE or self.worse > other.worse / _CLEARLY
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +107,8 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
     signals. It also has to leave less than four fifths of their squared error or, where noise is larger than that,
     be sure from the changes between samples. Among those that do, these changes decide. Band-limited inputs are
     near to linear ones; they are listed if linear ones explain the runs, no input has changes near the Nyquist
-    frequency, and the changes between samples are clearly in their favour.
+    frequency, and the changes between samples are clearly in their favour. Outputs that are read a part of a step
+    after the inputs act have a fitted time; they are listed if they surpass the other conventions clearly.
 
     Parameters
     ----------
@@ -98,7 +119,7 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
     """
     held = [one.refitted(free) for one in seen]
     conventions = [Convention("held")]
-    for convention in (Convention("linear"), *_read_after(held)):
+    for convention in (Convention("linear"), *_read_at_once(held), *_read_later(held, free)):
         try:
             tried = [timed(one, convention) for one in seen]
             if all(np.array_equal(a.nominal, b.nominal) for a, b in zip(seen, tried, strict=True)):
@@ -109,7 +130,9 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
                 conventions += _nearer_than(conventions[-1], held, refits, free)
         except FmuidError:
             continue  # an FMU that does not interpolate its inputs
-    return tuple(sorted(conventions, key=lambda c: (not c.explains and c.timing != "held", -c.evidence)))
+    others = [c for c in conventions if c.explains and not c.read_after]
+    conventions = [c for c in conventions if not c.read_after or all(map(c.surpasses, others))]
+    return tuple(sorted(conventions, key=lambda c: (not (c.explains or c.plain), not c.read_after, -c.evidence)))
 
 
 def _judged(
@@ -175,7 +198,7 @@ def conventions_of(
     model, seen = plain[0].simulator, []
     for case in plain:
         measured = np.array([channel.mean for channel in case.channels])
-        task = replace(case.task, interpolation="hold", linear=(), band_limited=(), after=())
+        task = replace(case.task, interpolation="hold", linear=(), band_limited=(), after=(), read_after=0.0)
         seen.append(SeenRun(model, task, measured, runner, values=case.start_values(values)))
     variables = {variable for n, (variable, _) in plain[0].setting.items() if n in names}
     free = [v for v in model.variables.values() if v.name in variables and v.start]
@@ -185,7 +208,7 @@ def conventions_of(
 def chosen(conventions: Sequence[Convention]) -> Convention:
     """Return the convention that the runs support, held signals if they support no other."""
     supported = [c for c in conventions if c.explains]
-    return supported[0] if supported else next(c for c in conventions if c.timing == "held")
+    return supported[0] if supported else next(c for c in conventions if c.plain)
 
 
 def lost_rows(fits: Sequence[SeenRun], names: Sequence[str]) -> tuple[LostRow, ...]:
@@ -240,7 +263,37 @@ def _most_likely_gap(changes: FloatArray, moves: FloatArray) -> tuple[int, float
     return k + 1, float(gain[k]) if usual else -np.inf
 
 
-def _read_after(held: Sequence[SeenRun]) -> list[Convention]:
+def _read_later(held: Sequence[SeenRun], free: Sequence[Variable]) -> list[Convention]:
+    """Return held inputs with outputs read a part of a step after them, if that explains every run better.
+
+    A linear step from held signals would not do: the refitted parameters have moved to imitate later readings.
+    """
+    step = min(float(np.min(np.diff(one.time))) for one in held)
+    first = Convention("held", read_after=_SHARES[1] * step)
+    try:
+        if max(_along(held, first, free, order=order) for order in (0, 1)) < _WORTH_TRYING:
+            return []
+        squares = {0.0: [one.left for one in held]}
+
+        def tried(share: float) -> float:
+            later = Convention("held", read_after=share * step)
+            squares[share] = [timed(one, later).refitted(free).left for one in held]
+            return sum(squares[share])
+
+        sums = [sum(squares[0.0]), *map(tried, _SHARES)]
+        best = int(np.argmin(sums))
+        if 0 < best < len(_SHARES):
+            around = [(0.0, *_SHARES)[k] for k in (best - 1, best, best + 1)]
+            bend, slope, _ = np.polyfit(around, sums[best - 1 : best + 2], 2)
+            tried(float(-0.5 * slope / bend) if bend > 0.0 else around[1])
+    except FmuidError:  # an FMU with a fixed step
+        return []
+    share = min(squares, key=lambda one: sum(squares[one]))
+    better = all(a < b for a, b in zip(squares[share], squares[0.0], strict=True))
+    return [Convention("held", read_after=float(f"{share * step:.3g}"))] if share and better else []
+
+
+def _read_at_once(held: Sequence[SeenRun]) -> list[Convention]:
     """Return held inputs with those outputs read after them that then fit better; none if no output differs."""
     outputs = held[0].outputs
     try:
@@ -261,7 +314,8 @@ def timed(run: SeenRun, convention: Convention) -> SeenRun:
     if convention.timing in ("linear", "band-limited"):
         return run.timed(convention.timing)
     after = convention.timing == "held-read-after"
-    return run.timed("hold", tuple(n for n in run.outputs if after and n not in convention.signals))
+    late = tuple(n for n in run.outputs if after and n not in convention.signals)
+    return run.timed("hold", late, convention.read_after)
 
 
 def _roughness(run: SeenRun) -> FloatArray:

@@ -27,14 +27,17 @@ _UNEVEN = 0.01  # deviation of a step from the mean one
 def refined(task: Task, variables: Mapping[str, Variable]) -> Task:
     """Return a task with more communication points, whose inputs are held or linear between them.
 
-    Inputs that are not continuous are held. A task without band-limited inputs is returned as it is.
+    Inputs that are not continuous are held. A task without band-limited inputs, whose outputs are read when the
+    inputs of their sample act, is returned as it is.
 
     Raises
     ------
     FmuError
-        The samples are not even.
+        The samples are not even, or outputs are read a step or more after the inputs, or beside band-limited ones.
     """
     whole = task.interpolation == "band-limited"
+    if task.read_after:
+        return _with_readings(task)
     smooth = {n for n in task.inputs if n in task.band_limited or (whole and n not in task.linear)}
     if not (whole or smooth):
         return task
@@ -72,7 +75,39 @@ def refined(task: Task, variables: Mapping[str, Variable]) -> Task:
 
 def at_samples(predictions: FloatArray, task: Task) -> FloatArray:
     """Return predictions at the samples of a task, of those at all communication points."""
-    return predictions if task.every == 1 else np.ascontiguousarray(predictions[:, :: task.every])
+    return predictions if task.every == 1 else np.ascontiguousarray(predictions[:, task.first :: task.every])
+
+
+def _with_readings(task: Task) -> Task:
+    """Return a task with a communication point after each sample, at which its outputs are read."""
+    grid = np.column_stack([task.time, task.time + task.read_after]).ravel()
+    if task.interpolation == "band-limited" or task.band_limited:
+        raise FmuError("outputs are read after band-limited inputs", where="timing", fix="leave read_after out")
+    if np.any(np.diff(grid) <= 0.0):
+        raise FmuError(
+            f"outputs are read {task.read_after:g} s after the inputs act, but the next inputs act before",
+            where="read_after",
+            fix='write less than the step between samples, or timing = "preceding"',
+        )
+    lines = task.inputs.keys() if task.interpolation == "linear" else task.linear
+    inputs = {n: np.interp(grid, task.time, u) if n in lines else np.repeat(u, 2) for n, u in task.inputs.items()}
+    feedback = task.feedback
+    if feedback is not None:
+        measured = np.full((len(feedback.measured), grid.size), np.nan)
+        measured[:, 1::2] = feedback.measured
+        feedback = Feedback(measured, feedback.gain)
+    shared = task.shared and (task.shared[0], 2 * task.shared[1])
+    return replace(
+        task,
+        time=grid,
+        inputs=inputs,
+        every=2,
+        first=1,
+        read_after=0.0,
+        after=(),
+        feedback=feedback,
+        shared=shared,
+    )
 
 
 def between(u: FloatArray) -> FloatArray:

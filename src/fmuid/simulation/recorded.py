@@ -141,7 +141,15 @@ def digest_of_values(values: Mapping[str, float]) -> bytes:
 def digest_of_task(task: Task) -> bytes:
     """Return a digest of a task and its data."""
     digest = hashlib.blake2b(digest_size=16)
-    how = (task.interpolation, task.tolerance, sorted(task.inputs), task.linear, task.band_limited, task.after)
+    how = (
+        task.interpolation,
+        task.tolerance,
+        sorted(task.inputs),
+        task.linear,
+        task.band_limited,
+        task.after,
+        task.read_after,
+    )
     digest.update(repr((task.outputs, *how, task.every)).encode())
     digest.update(digest_of_values(task.start_values))
     for direction in task.along:

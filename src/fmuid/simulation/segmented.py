@@ -435,7 +435,7 @@ class Segmented(Wrapped):
     def _piece(self, task: Task, a: int, b: int, outputs: tuple[str, ...] | None = None) -> _Piece:
         by_state = tuple({s: 1.0} for s in self.states) if self.exact else ()
         fine = refined(task, self.variables)
-        part = slice(fine.every * a, fine.every * (b - 1) + 1)
+        part = slice(fine.every * a, fine.every * (b - 1) + 1 + fine.first)
         plain = replace(
             fine,
             time=fine.time[part],

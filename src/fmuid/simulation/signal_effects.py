@@ -183,6 +183,7 @@ class Disturbed:
             inputs={**self._task.inputs, **self.inputs},
             linear=(*self._task.linear, *linear),
             every=1,
+            first=0,
             shared=shared,
         )
 
@@ -245,9 +246,10 @@ def disturbed_task(
         for row, name in enumerate(outputs)
         if any(effects.get(name, {}).get(prop, 0.0) > 0.0 for prop in ("lag", "delay"))
     }
-    sampled = task
+    sampled, samples = task, task.time
     if late or not effects.keys().isdisjoint(task.inputs):
         task = refined(task, variables)
+        samples = task.time[task.first :: task.every]
     linear, driven_linear = task.interpolation == "linear", linear_drive or task.interpolation != "hold"
     courses = {
         n: disturbed_input(task.time, u, effects[n], linear=linear or n in task.linear, others=task.inputs)
@@ -270,7 +272,7 @@ def disturbed_task(
     if grid is not task.time:
         plain = {n: Course(task.time, u, linear or n in task.linear) for n, u in task.inputs.items()}
         courses = plain | courses
-    return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task, sampled.time, breaks, late)
+    return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task, samples, breaks, late)
 
 
 def disturbed_readings(

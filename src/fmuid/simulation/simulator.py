@@ -85,14 +85,16 @@ class Task:
         Inputs that are interpolated although the others are held, where `Simulator.interpolates_inputs` is true.
     band_limited
         The same for inputs that are band-limited.
-    every
-        Communication points from one sample of the prediction to the next.
+    every, first
+        Communication points from one sample of the prediction to the next, and the point of the first sample.
     shared
         The group of tasks that this one belongs to, and a sample: those of a group whose inputs are the same up to
         a sample may be simulated up to there together. None if it belongs to none.
     after
         Outputs that are read after the inputs of their sample act; the others are read before. The outputs differ
         if they depend on an input without delay.
+    read_after
+        Time from the inputs of a sample to the reading of its outputs, s, less than the step; 0 for none.
     feedback
         Output feedback, for FMUs with model exchange: outputs are then predictions from the preceding samples.
     """
@@ -110,6 +112,8 @@ class Task:
     after: tuple[str, ...] = ()
     band_limited: tuple[str, ...] = ()
     every: int = 1
+    first: int = 0
+    read_after: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
@@ -164,7 +168,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
-        """Return predictions, shape (len(task.outputs), N), with `Task.every` at every so many points only.
+        """Return predictions, shape (len(task.outputs), N), at its samples only.
 
         Raises
         ------

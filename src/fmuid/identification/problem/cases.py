@@ -420,6 +420,7 @@ def _case(
         linear=lines if kind == "hold" else (),
         band_limited=smooth if kind == "hold" else (),
         after=tuple(dict.fromkeys(c.variable for c in late)),
+        read_after=model.read_after,
     )
     setting = {}
     for spec in campaign.parameters.values():
