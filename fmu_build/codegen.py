@@ -200,9 +200,8 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions, by: Slopes) -> Fu
     )
     add("asserts", environment, [column(e.asserts)])
     add("messages", environment, [column(e.shown)])
-    if e.delayed:
-        add("delayed", environment, [column(e.delayed)])
-        add_partials("delayed_partials", environment, "x u p d y z pz t", e.delayed)
+    add("delayed", environment, [column(e.delayed)])
+    add_partials("delayed_partials", environment, "x u p d y z pz t", e.delayed)
     return out
 
 

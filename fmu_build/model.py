@@ -73,8 +73,7 @@ indicators          ENV                            g (nm): relation i is true if
                                                    ``MODEL_INCLUSIVE[i]`` is 1)
 update              ENV, init (1)                  z (nz), x (nx), next_event (1), terminate (1), reinit (1)
 asserts             ENV                            a (MODEL_NASSERT): assertion i holds iff a_i is not 0
-delayed             ENV                            what the last MODEL_NDELAY entries of u remember, then for how long;
-                                                   only if there are any, as its derivative:
+delayed             ENV                            what the last MODEL_NDELAY entries of u remember, then for how long
 delayed_partials    ENV, SEEDS                     directional derivative of ``delayed``
 messages            ENV                            values that the messages show (MODEL_NSHOWN); those of assertion i begin
                                                    at ``MODEL_SHOWN[i]``

@@ -13,8 +13,10 @@ import platform
 import shutil
 import subprocess
 import tempfile
+import time
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -37,34 +39,34 @@ _VECTORS = ("-O3",)
 _STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
-_LEVELS = (
-    (_FAST, ("equations.c", "integrator.c", "dense_output.c", "past.c")),
+Levels = Sequence[tuple[tuple[str, ...], tuple[str, ...]]]
+# What depends on the model, compiled for each of them ...
+_OF_MODEL: Levels = (
+    (_STRAIGHT, ("model.c",)),
+    (_STRAIGHT, ("switches.c",)),
+    (_FAST, ("equations.c", "integrator.c", "dense_output.c")),
+    (_SELDOM, ("model_rare.c", "model_data.c")),
+)
+# ... and what does not.
+_GENERATED = {"model.c", "model_rare.c", "switches.c"}
+_RUNTIME: Levels = (
+    (_FAST, ("linear.c", "past.c")),
     (_VECTORS, ("sensitivity.c",)),
-    (_STRAIGHT, ("model.c", "switches.c")),
-    (_SELDOM, ("model_rare.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
-    (_SELDOM, ("delays.c", "sensitivity_rare.c", "pivoted_blocks.c", "fmi2.c", "fmi3.c")),
+    (_PLAIN, ("directions.c", "events.c", "kinks.c", "pivoting.c", "simulate.c", "variables.c")),
+    (_SELDOM, ("arrays.c", "assertions.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
+    (_SELDOM, ("delays.c", "sensitivity_rare.c", "pivoted_blocks.c")),
 )
-_SHARED = (
-    "delays.c",
-    "dense_output.c",
-    "equations.c",
-    "event_sensitivity.c",
-    "events.c",
-    "initialise.c",
-    "integrator.c",
-    "kinks.c",
-    "lifecycle.c",
-    "linear.c",
-    "past.c",
-    "pivoted_blocks.c",
-    "pivoting.c",
-    "sensitivity.c",
-    "sensitivity_rare.c",
-    "simulate.c",
-    "starts.c",
-    "variables.c",
+_HEADERS = (
+    "collocation.h",
+    "instance.h",
+    "linear.h",
+    "lu.h",
+    "model_data.h",
+    "past.h",
+    "sensitivity.h",
+    "variables.h",
 )
-_HEADERS = ("collocation.h", "instance.h", "linear.h", "lu.h", "past.h", "sensitivity.h")
+_UNUSED = 90 * 86_400.0  # s: compiled runtimes that no build has used for so long are removed
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -102,9 +104,7 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
         model = replace(model, variables=(*model.variables, time))
     compiler = _compiler()
     files = _sources(model, fmi)
-    key = _digest(
-        files, " ".join((*compiler, *C_FLAGS, repr(_LEVELS), *_wanted_flags())), _version(compiler)
-    ).encode()
+    key = _key(files, compiler).encode()
     if _comment(out) == key:
         return out
     sources = [name for name in files if name.endswith(".c")]
@@ -114,7 +114,7 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
     if fmi == 3:
         content["sources/buildDescription.xml"] = _build_description(model, sources).encode()
     binary = f"binaries/{_platform(fmi)}/{model.name}{'.dylib' if platform.system() == 'Darwin' else '.so'}"
-    content[binary] = _compile(model, files, compiler)
+    content[binary] = _compile(model, files, compiler, fmi)
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = out.with_name(f".{out.name}.{os.getpid()}")
     try:
@@ -125,8 +125,10 @@ def package(model: CompiledModel, out: Path | str, *, fmi: FmiVersion = 2) -> Pa
     return out
 
 
-def _digest(files: dict[str, str], *more: str) -> str:
-    return hashlib.sha256(json.dumps([sorted(files.items()), more]).encode()).hexdigest()
+def _key(files: dict[str, str], compiler: tuple[str, ...]) -> str:
+    """Digest of sources and of how they are compiled."""
+    how = [*compiler, *C_FLAGS, repr((_OF_MODEL, _RUNTIME)), *_wanted_flags(), _version(compiler)]
+    return hashlib.sha256(json.dumps([sorted(files.items()), how]).encode()).hexdigest()
 
 
 def _guid(model: CompiledModel, fmi: FmiVersion) -> str:
@@ -136,7 +138,9 @@ def _guid(model: CompiledModel, fmi: FmiVersion) -> str:
 
 def _runtime(fmi: FmiVersion) -> dict[str, str]:
     folder = resources.files("fmu_build") / "runtime"
-    return {name: (folder / name).read_text() for name in (f"fmi{fmi}.c", *_SHARED, *_HEADERS)}
+    sources = {name for _, names in (*_OF_MODEL, *_RUNTIME) for name in names} - _GENERATED
+    names = (f"fmi{fmi}.c", *sorted(sources), *_HEADERS)
+    return {name: (folder / name).read_text() for name in names}
 
 
 def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
@@ -203,6 +207,7 @@ def configuration(model: CompiledModel, guid: str) -> str:
         "MODEL_TOLERANCE": repr(float(model.experiment.tolerance or DEFAULT_TOLERANCE)),
         "MODEL_N_VARIABLES": str(len(entries)),
         "MODEL_VARIABLES": "{ \\\n    " + ", \\\n    ".join(entries) + "}",
+        "MODEL_HAS_INTEGERS": str(int(any(v.type == "Integer" for v in model.variables))),
         "MODEL_P_START": initialiser(starts("p", model.n_p)),
         "MODEL_U_START": initialiser(starts("u", model.n_u)),
         "MODEL_CONSTANTS": initialiser([repr(float(c)) for c in constants]),
@@ -218,18 +223,7 @@ _CONFIGURATION = """\
 #ifndef FMUID_MODEL_CONFIG_H
 #define FMUID_MODEL_CONFIG_H
 
-typedef enum { VECTOR_T, VECTOR_X, VECTOR_DX, VECTOR_U, VECTOR_P, VECTOR_D, VECTOR_Z, VECTOR_Y, VECTOR_V,
-               VECTOR_G, VECTOR_CONSTANT } Vector;
-typedef enum { TYPE_REAL, TYPE_INTEGER, TYPE_BOOLEAN } VariableType;
-typedef enum { SETTABLE_NO, SETTABLE_INPUT, SETTABLE_FIXED, SETTABLE_TUNABLE, SETTABLE_START } Settable;
-typedef struct {
-    Vector vector;
-    int index;
-    int sign;
-    VariableType type;
-    Settable settable;
-    const char *name;
-} VariableEntry;
+#include "variables.h"
 
 @MACROS@
 
@@ -262,41 +256,72 @@ def _version(compiler: tuple[str, ...]) -> str:
     return done.stdout
 
 
-def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, ...]) -> bytes:
+def _compile(model: CompiledModel, files: dict[str, str], compiler: tuple[str, ...], fmi: FmiVersion) -> bytes:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for file, text in files.items():
-            (folder / file).write_text(text)
-        sources = [file for file in files if file.endswith(".c")]
-        by_level: dict[tuple[str, ...], list[str]] = {}
-        for file in sources:
-            by_level.setdefault(_level(file, files["model.h"]), []).append(file)
-        for flags in (_FAST, _PLAIN, _SELDOM):  # as one source, so that the headers are read once
-            one = f"together{flags[0]}.c"
-            (folder / one).write_text("".join(f'#include "{file}"\n' for file in by_level[flags]))
-            by_level[flags] = [one]
-        # Relative names only, so that nothing of this machine enters the binary.
-        commands = [
-            [*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", *files_of_level]
-            for flags, files_of_level in by_level.items()
-        ]
+        _write(folder, files)
+        commands, objects = _commands(folder, compiler, _OF_MODEL)
+        runtime = _compiled_runtime(files, compiler, fmi)
+        if runtime is None:
+            more, runtime = _commands(folder, compiler, _runtime_levels(fmi))
+            commands += more
         _run_together(folder, model.class_name, *commands)
-        objects = [
-            file.removesuffix(".c") + ".o" for files_of_level in by_level.values() for file in files_of_level
-        ]
-        _run_together(
-            folder, model.class_name, [*compiler, *C_FLAGS, "-shared", "-o", "model.so", *objects, "-lm"]
-        )
+        link = [*compiler, *C_FLAGS, "-shared", "-o", "model.so", *objects, *runtime, "-lm"]
+        _run_together(folder, model.class_name, link)
         return (folder / "model.so").read_bytes()
 
 
-def _level(file: str, header: str) -> tuple[str, ...]:
-    """Optimisation for a source file; the solver of linear systems only needs any for sparse matrices."""
-    if file == "linear.c" and any(
-        f"MODEL_{m}_DENSE 0\n" in header and f"MODEL_{m}_N 0\n" not in header for m in "JR"
-    ):
-        return _FAST
-    return next((flags for flags, files in _LEVELS if file in files), _PLAIN)
+def _write(folder: Path, files: dict[str, str]) -> None:
+    for file, text in files.items():
+        (folder / file).write_text(text)
+
+
+def _runtime_levels(fmi: FmiVersion) -> Levels:
+    return (*_RUNTIME, (_SELDOM, (f"fmi{fmi}.c",)))
+
+
+def _commands(folder: Path, compiler: tuple[str, ...], levels: Levels) -> tuple[list[list[str]], list[str]]:
+    """Compiler commands and their objects; by relative names, so that nothing of this machine is in them."""
+    commands = []
+    for (flags, files), name in zip(levels, _names(levels), strict=True):
+        one = f"{name}.c"  # as one source, so that the headers are read once
+        (folder / one).write_text("".join(f'#include "{file}"\n' for file in files))
+        commands.append([*compiler, *C_FLAGS, *flags, *_wanted_flags(), "-c", one])
+    return commands, [f"{name}.o" for name in _names(levels)]
+
+
+def _names(levels: Levels) -> list[str]:
+    return [f"{files[0].removesuffix('.c')}_and_others" for _, files in levels]
+
+
+def _compiled_runtime(files: dict[str, str], compiler: tuple[str, ...], fmi: FmiVersion) -> list[str] | None:
+    """Return the objects of the runtime, which is compiled once; None if there is no place to keep them."""
+    names = {name for _, names in _runtime_levels(fmi) for name in names} | {*_HEADERS, *_FMI_HEADERS[fmi]}
+    sources = {name: files[name] for name in names}
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").resolve() / "fmuid" / "runtime"
+    folder = cache / _key(sources, compiler)
+    ready = [str(folder / f"{name}.o") for name in _names(_runtime_levels(fmi))]
+    try:
+        if folder.is_dir():
+            os.utime(folder)
+            return ready
+        cache.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=cache) as name:
+            _write(Path(name), sources)
+            commands, objects = _commands(Path(name), compiler, _runtime_levels(fmi))
+            _run_together(Path(name), "the runtime", *commands)
+            kept = Path(name, "kept")
+            kept.mkdir()
+            for file in objects:
+                Path(name, file).rename(kept / file)
+            with suppress(OSError):  # another process was faster
+                kept.rename(folder)
+        for other in cache.iterdir():
+            if time.time() - other.stat().st_mtime > _UNUSED:
+                shutil.rmtree(other, ignore_errors=True)
+    except OSError:
+        return None
+    return ready if folder.is_dir() else None
 
 
 def _run_together(folder: Path, class_name: str, *commands: list[str]) -> None:

@@ -4,22 +4,26 @@
 
 #include "instance.h"
 
-enum { N = NX + NY, RADAU = 3, BLOCK = RADAU * RADAU, SLICE = 8 };
+enum { RADAU = 3, BLOCK = RADAU * RADAU, SLICE = 8 };
+#define N (NX + NY)
 
 /* How the inputs move along the directions: NU rows of n, at time t and by time from there on. */
 typedef struct {
     double *seeds, *rates, t;
-    unsigned char driven[LENGTH(NU)]; /* whether an input moves at all */
+    unsigned char *driven; /* whether an input moves at all */
 } Drive;
+
+typedef struct { size_t first, end; } Span;
 
 struct Sensitivity {
     size_t n, n_parameters;
     unsigned *parameters;
     double *weights;  /* n rows of n_parameters: how they move together */
-    Direction *along; /* p, d, z and pz as they change, the rest is work memory */
+    Direction *along; /* p, d, z and pz as they change, the rest is work memory ... */
+    double *numbers;  /* ... and what they point to */
     double *moves;    /* the same p, d and z in NP + ND + NZ rows of n, in one block with what follows ... */
-    struct { size_t first, end; } moved[LENGTH(NP + ND + NZ)]; /* ... along which directions they change at all ... */
-    int active[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)], n_active; /* ... and which derivatives are by those ... */
+    Span *moved;      /* ... along which directions they change at all ... */
+    int *active, n_active; /* ... and which derivatives are by those ... */
     int elements;     /* ... 1: those by elements of arrays, too */
     unsigned char *live;  /* by slices of directions: 0: nothing has moved along them yet, all that follows is zero */
     unsigned char *apart; /* by direction: whether derivatives along it alone cost less than all of these */
@@ -35,23 +39,19 @@ struct Sensitivity {
     double from, to;  /* the piece of the last step that `stages` belong to ... */
     double smooth;    /* ... up to where f has no kink in it ... */
     int pieces;       /* ... and how many of it there were; 0: none is solved yet */
-    double switches[LENGTH(MODEL_NSWITCH)]; /* their values at the end of the last piece ... */
+    double *switches; /* their values at the end of the last piece ... */
     int switches_known;                     /* ... if f goes on from there as it was */
-    double factors[BLOCK * MODEL_J_FILLED + 1]; /* blocks of L and U, on the diagonal inverses */
+    double *factors; /* blocks of L and U, on the diagonal inverses */
     Pivoted *other;                             /* of the whole matrix, where the planned pivots will not do ... */
     int use_other;                              /* ... as in the last piece */
-    double work[2 * BLOCK * N + 1];
-#if MODEL_NDELAY > 0
+    double *work;     /* 2 BLOCK N + 1 */
     /* How the past moved: pieces with their ends, the motion of their beginning where that is an event (n), and each
      * delayed expression at four times in equal distances (4 rows of n). */
     struct {
         double *rows, *start, *time, *event; /* NDELAY rows of n: at the start; of the delays; n: of the last event */
         size_t first, count, room;
     } past;
-#endif
 };
-
-static const Pattern PATTERN_BLOCKS = PATTERN(J);
 
 /* Inverse of the method's matrix, and its row sums. */
 static const double W[RADAU][RADAU] = {
@@ -72,7 +72,6 @@ static inline double row_factor(int row, double h) { return row < NX ? h : 1.0; 
 static inline double driven_move(const Drive *a, size_t n, int i, size_t j, double t) {
     return a->seeds[i * n + j] + a->rates[i * n + j] * (t - a->t);
 }
-#if MODEL_NDELAY > 0
 double past_move(const Instance *me, int k, size_t j, double t, int after);
 #define input_move(me, i, j, t)                                                                                    \
     ((i) < NIN ? driven_move(&(me)->sensitivity->drive, (me)->sensitivity->n, i, j, t)                             \
@@ -85,19 +84,9 @@ void remember_event_moves(Instance *me);
 size_t past_moves_size(const struct Sensitivity *q);
 void copy_past_moves(const struct Sensitivity *q, char *to);
 int restore_past_moves(struct Sensitivity *q, const char *from);
-#else
-#define input_move(me, i, j, t) driven_move(&(me)->sensitivity->drive, (me)->sensitivity->n, i, j, t)
-#define start_past_moves(me) 1
-#define record_past_moves(me, from, to, at) STATUS_OK
-#define past_event_moves(me) ((void)0)
-#define move_past_jumps(me) ((void)0)
-#define remember_event_moves(me) ((void)0)
-#define past_moves_size(q) ((size_t)0)
-#define copy_past_moves(q, to) ((void)0)
-#endif
 
 /* pivoted_blocks.c: the factorisation with pivots chosen by size, and the solution by it. */
-int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]);
+int pivoted_blocks(struct Sensitivity *q, double h, double *const *jacobian);
 int solve_pivoted(struct Sensitivity *q, const double *y, double *to);
 
 #endif

@@ -10,12 +10,12 @@
 
 #include "past.h"
 
-#if MODEL_NDELAY > 0
 enum { DEEPEST = 12 };
 
 /* The motion over which the past grows: dense output of the last step, or, in model exchange, cubics between its ends. */
 typedef struct {
-    double t0, t1, x0[LENGTH(NX)], x1[LENGTH(NX)], dx0[LENGTH(NX)], dx1[LENGTH(NX)], u0[LENGTH(NU)], u1[LENGTH(NU)];
+    double t0, t1;
+    const double *x0, *x1, *dx0, *dx1, *u0, *u1;
     int is_dense;
 } Motion;
 
@@ -66,8 +66,9 @@ static Status append_piece(Instance *me, double t0, const double *a, double t1, 
 
 static Status add_pieces(Instance *me, const Motion *way, double t0, const double *a, double t1, const double *b,
                          int depth) {
-    double middle[2 * NDELAY], piece[ROW] = {t0, t1}, slope;
+    double middle[2 * NDELAY], piece[ROW], slope;
     const double t = t0 + 0.5 * (t1 - t0);
+    piece[0] = t0, piece[1] = t1;
     int right = depth == DEEPEST || t <= t0 || t >= t1;
     if (!right) {
         if (expressions_at(me, way, t, middle))
@@ -89,9 +90,10 @@ static Status add_pieces(Instance *me, const Motion *way, double t0, const doubl
 Status remember(Instance *me, double t) {
     State *s = &me->s;
     Memory *m = &s->memory;
-    if (!(t > m->until)) return STATUS_OK;
+    if (NDELAY == 0 || !(t > m->until)) return STATUS_OK;
     Motion way = {.t0 = m->until, .t1 = t, .is_dense = s->is_co_simulation};
     double shortest = INFINITY, longest = 0.0, a[2 * NDELAY], b[2 * NDELAY];
+    double x1[LENGTH(NX)], dx1[LENGTH(NX)], u1[LENGTH(NU)];
     for (int k = 0; k < NDELAY; k++) {
         shortest = fmin(shortest, m->time[k]);
         longest = fmax(longest, m->time[k]);
@@ -99,14 +101,13 @@ Status remember(Instance *me, double t) {
     if (t > m->event + shortest + rounding(t))
         return report(me, STATUS_ERROR, "t = %.9g: the step passed the time event at t = %.9g", t, m->event + shortest);
     if (!way.is_dense) {
-        memcpy(way.x0, m->x, sizeof way.x0);
-        memcpy(way.dx0, m->dx, sizeof way.dx0);
-        memcpy(way.u0, m->u, sizeof way.u0);
+        way.x0 = m->x, way.dx0 = m->dx, way.u0 = m->u;
         if (evaluate_derivatives(me))
             return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution", t);
-        memcpy(way.x1, s->x, sizeof way.x1);
-        memcpy(way.dx1, s->dx, sizeof way.dx1);
-        memcpy(way.u1, s->u, sizeof way.u1);
+        memcpy(x1, s->x, sizeof x1);
+        memcpy(dx1, s->dx, sizeof dx1);
+        memcpy(u1, s->u, sizeof u1);
+        way.x1 = x1, way.dx1 = dx1, way.u1 = u1;
     }
     if (expressions_at(me, &way, way.t0, a) || expressions_at(me, &way, t, b))
         return report(me, STATUS_ERROR, "t = %.9g: what delay() remembers cannot be evaluated", t);
@@ -125,18 +126,19 @@ Status remember(Instance *me, double t) {
 Status remember_point(Instance *me) {
     State *s = &me->s;
     Memory *m = &s->memory;
-    if (s->is_co_simulation) return STATUS_OK;
+    if (NDELAY == 0 || s->is_co_simulation) return STATUS_OK;
     if (evaluate_derivatives(me))
         return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution", s->t);
-    memcpy(m->x, s->x, sizeof m->x);
-    memcpy(m->dx, s->dx, sizeof m->dx);
-    memcpy(m->u, s->u, sizeof m->u);
+    memcpy(m->x, s->x, BYTES(NX));
+    memcpy(m->dx, s->dx, BYTES(NX));
+    memcpy(m->u, s->u, BYTES(NU));
     return STATUS_OK;
 }
 
 /* An event at the present point: from now on the delayed values are those after it. */
 Status pass_delays(Instance *me) {
     State *s = &me->s;
+    if (NDELAY == 0) return STATUS_OK;
     const Status status = remember(me, s->t);
     s->memory.event = s->t;
     delayed_at(me, s->t, s->u, NULL);
@@ -147,6 +149,7 @@ Status pass_delays(Instance *me) {
 Status begin_past(Instance *me, int *settled) {
     State *s = &me->s;
     Memory *m = &s->memory;
+    if (NDELAY == 0) return STATUS_OK;
     double values[2 * NDELAY];
     m->until = m->event = s->t;
     m->first_row = m->rows = 0;
@@ -176,12 +179,13 @@ Status begin_past(Instance *me, int *settled) {
 int start_past_moves(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     int settled = 1;
-    if (!q || q->n == 0) return 1;
+    if (NDELAY == 0 || !q || q->n == 0) return 1;
     q->past.first = q->past.count = 0;
     memset(q->past.event, 0, q->n * sizeof(double));
     for (size_t j = 0; j < q->n; j++) {
-        Direction s = q->along[j];
+        DIRECTION(s);
         double along[2 * NDELAY];
+        copy_direction(&q->along[j], &s);
         for (int k = 0; k < NDELAY; k++) s.u[NIN + k] = q->past.start[k * q->n + j];
         s.t = 0.0;
         if (delayed_along(me, me->s.t, me->s.x, me->s.u, &s, along)) return -1;
@@ -200,8 +204,8 @@ Status record_past_moves(Instance *me, double from, double to, void (*at)(const 
     struct Sensitivity *q = me->sensitivity;
     const Memory *m = &me->s.memory;
     const size_t n = q->n;
+    if (NDELAY == 0 || !(to > from)) return STATUS_OK;
     double x[LENGTH(NX)], u[LENGTH(NU)], along[2 * NDELAY], longest = 0.0;
-    if (!(to > from)) return STATUS_OK;
     for (int k = 0; k < NDELAY; k++) longest = fmax(longest, m->time[k]);
     while (q->past.count > 1 && nth_move(q, 1)[1] < from - longest) q->past.first++, q->past.count--;
     if (q->past.first > 0 && q->past.first >= q->past.count) {
@@ -228,7 +232,8 @@ Status record_past_moves(Instance *me, double from, double to, void (*at)(const 
         input_at(me, t);
         memcpy(u, me->ut, sizeof u);
         for (size_t j = 0; j < n && !failed; j++) {
-            Direction s = q->along[j];
+            DIRECTION(s);
+            copy_direction(&q->along[j], &s);
             for (int row = 0; row < NX; row++) s.x[row] = S[row * n + j];
             for (int k = 0; k < NU; k++) s.u[k] = input_move(me, k, j, t);
             s.t = 0.0;
@@ -246,7 +251,7 @@ void past_event_moves(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     const State *s = &me->s;
     double past;
-    if (s->next_event > s->t || s->memory.own_next <= s->t) return;
+    if (NDELAY == 0 || s->next_event > s->t || s->memory.own_next <= s->t) return;
     const int k = jump_due(me, &past);
     for (size_t j = 0; j < q->n; j++) q->along[j].next_event = 0.0;
     if (k < 0) return;
@@ -267,14 +272,15 @@ void move_past_jumps(Instance *me) {
 
 void remember_event_moves(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
-    for (size_t j = 0; j < q->n; j++) q->past.event[j] = q->along[j].t;
+    for (size_t j = 0; j < q->n && NDELAY > 0; j++) q->past.event[j] = q->along[j].t;
 }
 
 size_t past_moves_size(const struct Sensitivity *q) {
-    return (q->past.count * width(q) + (2 * NDELAY + 1) * q->n) * sizeof(double);
+    return NDELAY > 0 ? (q->past.count * width(q) + (2 * NDELAY + 1) * q->n) * sizeof(double) : 0;
 }
 
 void copy_past_moves(const struct Sensitivity *q, char *to) {
+    if (NDELAY == 0) return;
     const size_t own = (2 * NDELAY + 1) * q->n * sizeof(double);
     memcpy(to, q->past.start, own);
     if (q->past.count > 0) memcpy(to + own, nth_move(q, 0), q->past.count * width(q) * sizeof(double));
@@ -282,6 +288,7 @@ void copy_past_moves(const struct Sensitivity *q, char *to) {
 
 /* After q->past.count is that of the copy; 1: no memory. */
 int restore_past_moves(struct Sensitivity *q, const char *from) {
+    if (NDELAY == 0) return 0;
     const size_t own = (2 * NDELAY + 1) * q->n * sizeof(double);
     if (q->past.count > q->past.room) {
         double *more = realloc(q->past.rows, q->past.count * width(q) * sizeof(double));
@@ -293,4 +300,3 @@ int restore_past_moves(struct Sensitivity *q, const char *from) {
     if (q->past.count > 0) memcpy(q->past.rows, from + own, q->past.count * width(q) * sizeof(double));
     return 0;
 }
-#endif

@@ -1,6 +1,7 @@
 /* The solution between the ends of a step of Rodas5P (see integrator.c). */
 #include <string.h>
 
+#include "model.h"
 #include "instance.h"
 
 static const double H[3][8] = {

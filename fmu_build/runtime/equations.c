@@ -1,11 +1,10 @@
-/* Evaluation of the model's equations; nonlinear algebraic loops are solved for y by Newton's method on the way. */
+/* Evaluation of the model's equations; nonlinear algebraic loops are solved for y by Newton's method on the way. Compiled
+ * for each model: see model_data.h. */
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
+#include "model.h"
 #include "instance.h"
-
-static const Pattern PATTERN_R = PATTERN(R), PATTERN_I = PATTERN(I);
 
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u) {
     State *s = &me->s;
@@ -19,7 +18,7 @@ const double **environment_at(Instance *me, const double *t, const double *x, co
     arg[6] = s->pz;
     arg[7] = s->m;
     arg[8] = s->y;
-    for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
+    for (int i = 0; i < SZ_RES; i++) me->res[i] = NULL;
     return arg;
 }
 
@@ -33,7 +32,7 @@ static int all_finite(const double *values, int n) {
 static double relative_size(const double *correction, const double *y) {
     double size = 0.0;
     for (int i = 0; i < NY; i++)
-        size = fmax(size, fabs(correction[i]) / fmax(MODEL_Y_NOMINAL[i], fabs(y[i])));
+        size = fmax(size, fabs(correction[i]) / fmax(model.y_nominal[i], fabs(y[i])));
     return size;
 }
 
@@ -86,7 +85,7 @@ int solve_loop(Instance *me, double t, const double *x, const double *u) {
     if (!newton(me, t, x, u)) return 0;
     me->arg[0] = me->s.p;
     me->arg[1] = me->s.d;
-    for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
+    for (int i = 0; i < SZ_RES; i++) me->res[i] = NULL;
     me->res[2] = me->s.y;
     CALL(start);
     if (!newton(me, t, x, u)) return 0;
@@ -98,7 +97,7 @@ int solve_loop(Instance *me, double t, const double *x, const double *u) {
 void input_at(Instance *me, double t) {
     const Step *step = &me->s.step;
     for (int i = 0; i < NU; i++) me->ut[i] = step->u[i] + step->du[i] * (t - step->u_time);
-    delayed_at(me, t, me->ut, NULL);
+    if (NDELAY > 0) delayed_at(me, t, me->ut, NULL);
 }
 
 int right_hand_side(Instance *me, double t, const double *x, double *dx) {
@@ -110,7 +109,7 @@ int right_hand_side(Instance *me, double t, const double *x, double *dx) {
 }
 
 /* The environment with the direction as further arguments, from arg[first] on. */
-static void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s,
+void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s,
                               int first) {
     environment_at(me, t, x, u);
     const double *const seeds[] = {s->x, s->u, s->p, s->d, s->y, s->z, s->pz, &s->t};
@@ -118,7 +117,7 @@ static void environment_along(Instance *me, const double *t, const double *x, co
 }
 
 /* The same of loop_partials, which have no seed of y. */
-static void loop_environment_along(Instance *me, const double *t, const double *x, const double *u,
+void loop_environment_along(Instance *me, const double *t, const double *x, const double *u,
                                    const Direction *s) {
     environment_along(me, t, x, u, s, 9);
     me->arg[13] = s->z;
@@ -127,7 +126,7 @@ static void loop_environment_along(Instance *me, const double *t, const double *
 
 /* The derivatives of f along a direction into s->dx, and of r into s->y, y held. */
 int partials_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
-    memset(s->y, 0, sizeof s->y);
+    memset(s->y, 0, BYTES(NY));
     environment_along(me, &t, x, u, s, 9);
     me->res[0] = s->dx;
     if (CALL(partials)) return 1;
@@ -150,11 +149,11 @@ int linearise(Instance *me, double t, const double *x) {
     double du[LENGTH(NU)];
     int ramp = 0;
     memcpy(du, me->s.step.du, sizeof du);
-    delayed_at(me, t, me->ut, du);
+    if (NDELAY > 0) delayed_at(me, t, me->ut, du);
     for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
     if (ramp) {
-        Direction s = {.x = {0}};
-        memcpy(s.u, du, sizeof s.u);
+        DIRECTION(s);
+        memcpy(s.u, du, BYTES(NU));
         if (partials_along(me, t, x, me->ut, &s)) return 1;
         for (int i = 0; i < NX; i++) me->by_time[i] += s.dx[i];
         for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];
@@ -164,17 +163,17 @@ int linearise(Instance *me, double t, const double *x) {
 
 /* x'' where `linearise` was called last. */
 int second_derivatives(Instance *me, double t, const double *x, double *second) {
-    static const Pattern j = PATTERN(J);
+    const Pattern *j = &model.J;
     double sum[LENGTH(NX + NY)];
     memcpy(sum, me->by_time, sizeof sum);
     for (int column = 0; column < NX; column++)
-        for (int k = j.start[column]; k < j.start[column + 1]; k++) sum[j.row[k]] += me->jacobian[k] * me->f0[column];
+        for (int k = j->start[column]; k < j->start[column + 1]; k++) sum[j->row[k]] += me->jacobian[k] * me->f0[column];
     if (NY > 0) { /* y' */
         if (solve_loop(me, t, x, me->ut) || factorise_loop(me, t, x, me->ut)) return 1;
         SOLVE(R, &me->lu_loop, sum + NX);
         for (int column = NX; column < NX + NY; column++)
-            for (int k = j.start[column]; k < j.start[column + 1]; k++)
-                if (j.row[k] < NX) sum[j.row[k]] -= me->jacobian[k] * sum[column];
+            for (int k = j->start[column]; k < j->start[column + 1]; k++)
+                if (j->row[k] < NX) sum[j->row[k]] -= me->jacobian[k] * sum[column];
     }
     memcpy(second, sum, NX * sizeof *second);
     return 0;
@@ -182,12 +181,12 @@ int second_derivatives(Instance *me, double t, const double *x, double *second) 
 
 /* Truth of every relation at (t, x, u) with the present m, z and y; within `slack` of its threshold it is as in m. */
 void relations_within(Instance *me, double slack, double t, const double *x, const double *u, double *m) {
-    double g[LENGTH(NM)] = {0};
+    ZEROS(g, NM);
     environment_at(me, &t, x, u);
     me->res[0] = g;
     CALL(indicators);
     for (int i = 0; i < NM; i++)
-        m[i] = fabs(g[i]) <= slack ? me->s.m[i] : MODEL_INCLUSIVE[i] ? g[i] >= 0.0 : g[i] > 0.0;
+        m[i] = fabs(g[i]) <= slack ? me->s.m[i] : model.inclusive[i] ? g[i] >= 0.0 : g[i] > 0.0;
 }
 
 void relations(Instance *me, double t, const double *x, const double *u, double *m) {
@@ -198,10 +197,10 @@ void relations(Instance *me, double t, const double *x, const double *u, double 
  * variables the relations follow it at once, the discrete variables do not. `kept` receives the old relations. */
 int relations_for_input(Instance *me, double *kept) {
     State *s = &me->s;
-    memcpy(kept, s->m, sizeof s->m);
+    memcpy(kept, s->m, BYTES(NM));
     if (NM == 0 || !s->input_event || s->phase != PHASE_STEP) return 0;
     for (int round = 0; round < 10; round++) {
-        double m[LENGTH(NM)] = {0};
+        ZEROS(m, NM);
         if (solve_loop(me, s->t, s->x, s->u)) return 1;
         relations(me, s->t, s->x, s->u, m);
         if (!memcmp(m, s->m, sizeof m)) break;
@@ -245,184 +244,3 @@ int factorise_loop(Instance *me, double t, const double *x, const double *u) {
 }
 
 void solve_linear_loop(Instance *me, double *b) { SOLVE(R, &me->lu_loop, b); }
-
-/* Derivatives of the algebraic loops' unknowns along a direction, into s->y; leaves y itself solved. */
-static int loops_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
-    if (NY == 0) return 0;
-    if (solve_loop(me, t, x, u) || factorise_loop(me, t, x, u)) return 1;
-    loop_environment_along(me, &t, x, u, s);
-    me->res[0] = s->y;
-    if (CALL(loop_partials)) return 1;
-    for (int i = 0; i < NY; i++) s->y[i] = -(s->t != 0.0 ? s->y[i] + s->t * me->drdt[i] : s->y[i]); /* no 0 * inf */
-    SOLVE(R, &me->lu_loop, s->y);
-    return 0;
-}
-
-/* Prepares a call at (*t, x, u) along a direction, with s->y, and with its result in `along`. */
-static int prepare_along(Instance *me, const double *t, const double *x, const double *u, Direction *s, double *along) {
-    if (loops_along(me, *t, x, u, s)) return 1;
-    environment_along(me, t, x, u, s, 9);
-    me->res[0] = along;
-    return 0;
-}
-
-/* Exact derivatives of the indicators along a direction at (t, x, u), into g, with s->y. */
-int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g) {
-    return prepare_along(me, &t, x, u, s, g) || CALL(indicator_partials);
-}
-
-/* The same of what an update gives at the present point, [z; x; next_event], into `updated`. */
-int update_along(Instance *me, double initial, Direction *s, double *updated) {
-    const State *now = &me->s;
-    if (loops_along(me, now->t, now->x, now->u, s)) return 1;
-    environment_along(me, &now->t, now->x, now->u, s, 10);
-    me->arg[9] = &initial;
-    me->res[0] = updated;
-    return CALL(update_partials);
-}
-
-/* Exact derivatives of dx along a direction at (t, x, u), into s->dx (and s->y). */
-int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
-    return prepare_along(me, &t, x, u, s, s->dx) || CALL(partials);
-}
-
-#if MODEL_NDELAY > 0
-/* Values of what is delayed, and their slopes along the motion with inputs of slopes du. */
-int delayed_expressions(Instance *me, double t, const double *x, const double *u, const double *du, double *value,
-                        double *slope) {
-    Direction s = {.t = 1.0};
-    memcpy(s.u, du, sizeof s.u);
-    if (solve_loop(me, t, x, u)) return 1;
-    environment_at(me, &t, x, u);
-    me->res[0] = s.x;
-    if (CALL(derivatives)) return 1;
-    environment_at(me, &t, x, u);
-    double both[2 * NDELAY];
-    me->res[0] = both;
-    if (CALL(delayed)) return 1;
-    memcpy(value, both, NDELAY * sizeof *value);
-    if (prepare_along(me, &t, x, u, &s, both) || CALL(delayed_partials)) return 1;
-    memcpy(slope, both, NDELAY * sizeof *slope);
-    return 0;
-}
-
-/* Derivatives along a direction of what is delayed and of the delays, 2 NDELAY numbers. */
-int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along) {
-    return prepare_along(me, &t, x, u, s, along) || CALL(delayed_partials);
-}
-#endif
-
-/* The same of v, into s->v; s->y is that of `derivatives_along` at the same point. */
-int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s) {
-    environment_along(me, &t, x, u, s, 9);
-    me->res[0] = s->v;
-    return CALL(variable_partials);
-}
-
-/* Derivative of the calculated parameters in the direction sp. */
-int dependent_parameters_along(Instance *me, const double *sp, double *sd) {
-    me->arg[0] = me->s.p;
-    me->arg[1] = sp;
-    me->res[0] = sd;
-    return model_dependent_partials(me->arg, me->res, me->iw, me->w, 0);
-}
-
-/* Derivative of the start values [x; z] along s->p and s->d. */
-static int starts_along(Instance *me, const Direction *s, double *starts) {
-    const double *const arguments[] = {me->s.p, me->s.d, s->p, s->d};
-    for (int i = 0; i < 4; i++) me->arg[i] = arguments[i];
-    me->res[0] = starts;
-    return model_start_partials(me->arg, me->res, me->iw, me->w, 0);
-}
-
-/* The same of the discrete variables alone, into s->z and s->pz. */
-int discrete_starts_along(Instance *me, Direction *s) {
-    double starts[LENGTH(NX + NZ)];
-    if (NZ == 0) return 0;
-    if (starts_along(me, s, starts)) return 1;
-    memcpy(s->z, starts + NX, sizeof s->z);
-    memcpy(s->pz, starts + NX, sizeof s->pz);
-    return 0;
-}
-
-/* Derivative of the initial state along s->u, s->p, s->d, s->z, s->pz and the start values that were or can be set,
- * into s->x. */
-int initial_states_along(Instance *me, const double *start, Direction *s) {
-    enum { N = NX + NY };
-    const State *now = &me->s;
-    double sxs[LENGTH(NX + NZ)] = {0}, r[LENGTH(N)];
-    if (starts_along(me, s, sxs)) return 1;
-    for (int i = 0; i < NX; i++) s->x[i] = now->xs_set[i] ? start[i] : sxs[i] + start[i];
-    if (!MODEL_HAS_INITIAL) return 0;
-    memcpy(sxs, s->x, sizeof s->x);
-    environment_at(me, &now->t, now->x, now->u);
-    me->arg[9] = now->xs;
-    me->res[0] = NULL;
-    me->res[1] = me->initial;
-    if (CALL(initial) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
-    environment_at(me, &now->t, now->x, now->u);
-    const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
-    for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
-    me->res[0] = r;
-    if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
-    SOLVE(I, &me->lu_start, r);
-    for (int i = 0; i < NX; i++) s->x[i] = -r[i];
-    return 0;
-}
-
-/* Appends `more` to a text with room for n characters. */
-static void append(char *text, size_t n, const char *more, size_t length) {
-    const size_t used = strlen(text);
-    if (used + length >= n) length = n - used - 1;
-    memcpy(text + used, more, length);
-    text[used + length] = 0;
-}
-
-/* The message of assertion i with the values at the current point. */
-static const char *message_of(Instance *me, int i, char *text, size_t n) {
-    double values[LENGTH(MODEL_NSHOWN)] = {0}, *value = values + MODEL_SHOWN[i];
-    const char *at = MODEL_ASSERT_MESSAGE[i], *form;
-    if (MODEL_NSHOWN > 0) {
-        environment_at(me, &me->s.t, me->s.x, me->s.u);
-        me->res[0] = values;
-        CALL(messages);
-    }
-    *text = 0;
-    for (; (form = strchr(at, 1)) != NULL; at = strchr(form + 1, 1) + 1) {
-        append(text, n, at, (size_t)(form - at));
-        if (form[1] == '=') { /* words for 0, 1, 2 ... */
-            const char *word = form + 2;
-            for (double k = *value++; k >= 0.5 && word[strcspn(word, "|\001")] == '|'; k--) word = strchr(word, '|') + 1;
-            append(text, n, word, strcspn(word, "|\001"));
-        } else {
-            char conversion[32] = "", number[64];
-            append(conversion, sizeof conversion, form + 1, strcspn(form + 1, "\001"));
-            snprintf(number, sizeof number, conversion, *value++);
-            append(text, n, number, strlen(number));
-        }
-    }
-    append(text, n, at, strlen(at));
-    return text;
-}
-
-/* Failed assertions at the current point; one with level warning is told once a run. */
-Status check_assertions(Instance *me) {
-    if (MODEL_NASSERT == 0) return STATUS_OK;
-    State *s = &me->s;
-    double holds[LENGTH(MODEL_NASSERT)];
-    char text[1024];
-    if (solve_loop(me, s->t, s->x, s->u))
-        return report(me, STATUS_ERROR, "t = %.9g: the model's algebraic loop has no solution", s->t);
-    environment_at(me, &s->t, s->x, s->u);
-    me->res[0] = holds;
-    CALL(asserts);
-    for (int i = 0; i < MODEL_NASSERT; i++) {
-        if (holds[i] != 0.0 && !isnan(holds[i])) continue;
-        if (!MODEL_ASSERT_WARNING[i])
-            return report(me, STATUS_ERROR, "t = %.9g: assertion violated: %s", s->t,
-                          message_of(me, i, text, sizeof text));
-        if (!s->warned[i]) report(me, STATUS_WARNING, "t = %.9g: %s", s->t, message_of(me, i, text, sizeof text));
-        s->warned[i] = 1;
-    }
-    return STATUS_OK;
-}

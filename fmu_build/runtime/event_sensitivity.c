@@ -24,10 +24,11 @@ static int grazes(Instance *me, int i, double rate, int *failed) {
     double x[LENGTH(NX)], g[LENGTH(NM)];
     if (!(sign * rate < 0.0)) return 1;
     if (!(before < s->t)) return 0;
-    Direction flow = {.t = 1.0};
+    DIRECTION(flow);
+    flow.t = 1.0;
     dense_output(step, before, x);
     *failed = right_hand_side(me, before, x, flow.x);
-    memcpy(flow.u, step->du, sizeof flow.u);
+    memcpy(flow.u, step->du, BYTES(NU));
     delayed_at(me, before, me->ut, flow.u);
     *failed = *failed || indicators_along(me, before, x, me->ut, &flow, g);
     const double bend = sign * (rate - g[i]) / (s->t - before);
@@ -64,14 +65,16 @@ Status event_start_along(Instance *me, Direction *along, size_t n) {
 Status event_time_along(Instance *me, Direction *along, size_t n, int inside) {
     State *s = &me->s;
     const int due = inside && s->next_event <= s->t;
-    double y[LENGTH(NY)], u[LENGTH(NU)], m[LENGTH(NM)] = {0}, rate[LENGTH(NM)], g[LENGTH(NM)];
+    double y[LENGTH(NY)], u[LENGTH(NU)], rate[LENGTH(NM)], g[LENGTH(NM)];
+    ZEROS(m, NM);
     int changed[LENGTH(NM)], n_changed = 0;
-    Direction flow = {.t = 1.0};
+    DIRECTION(flow);
+    flow.t = 1.0;
     Status status = STATUS_OK;
     memcpy(y, s->y, sizeof y);
     int failed = right_hand_side(me, s->t, s->x, flow.x);
     memcpy(u, me->ut, sizeof u);
-    memcpy(flow.u, s->step.du, sizeof flow.u);
+    memcpy(flow.u, s->step.du, BYTES(NU));
     delayed_at(me, s->t, me->ut, flow.u);
     relations(me, s->t, s->x, u, m);
     for (int i = 0; i < NM; i++)
@@ -140,7 +143,7 @@ Status event_end_along(Instance *me, Direction *along, size_t n) {
     for (size_t j = 0; j < n && !failed; j++) {
         for (int i = 0; i < NX; i++) along[j].x[i] -= along[j].t * slope[i];
         along[j].t = 0.0;
-        memset(along[j].u, 0, sizeof along[j].u);
+        memset(along[j].u, 0, BYTES(NU));
     }
     memcpy(s->y, y, sizeof y);
     return failed ? report(me, STATUS_ERROR, "t = %.9g: the sensitivities cannot be computed", s->t) : STATUS_OK;

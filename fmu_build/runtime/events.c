@@ -52,15 +52,20 @@ static void adopt(double *m, const double *new, int few) {
 
 /* What an update gives beside z. */
 typedef struct {
-    double x[LENGTH(NX)], next_event, terminate, reinit;
+    double *x, next_event, terminate, reinit;
 } Update;
+
+/* Where an iteration begins. */
+typedef struct {
+    const double *m, *z, *y;
+} Modes;
 
 typedef enum { CHANGED, SETTLED, FAILED } Round;
 
 /* One round of the inner iteration: new z, and in m the relations that belong to it. */
 static Round one_round(Instance *me, double flag, double slack, Update *update, double *m) {
     State *s = &me->s;
-    double z[LENGTH(NZ)] = {0};
+    ZEROS(z, NZ);
     if (solve_loop(me, s->t, s->x, s->u)) return FAILED;
     environment_at(me, &s->t, s->x, s->u);
     me->arg[9] = &flag;
@@ -78,10 +83,10 @@ static Round one_round(Instance *me, double flag, double slack, Update *update, 
 }
 
 /* Are the relations `tried` consistent, all others as they follow? Starts from z, m and y of `before`. */
-static Round try_modes(Instance *me, double flag, double slack, const State *before, const unsigned char *tried,
+static Round try_modes(Instance *me, double flag, double slack, const Modes *before, const unsigned char *tried,
                        Update *update) {
     State *s = &me->s;
-    double m[LENGTH(NM)] = {0};
+    ZEROS(m, NM);
     for (int round = 0; round < 20; round++) {
         const Round now = one_round(me, flag, slack, update, m);
         if (now == FAILED) break;
@@ -94,21 +99,22 @@ static Round try_modes(Instance *me, double flag, double slack, const State *bef
         if (settled) return SETTLED;
         if (!consistent && now == SETTLED) break;
     }
-    memcpy(s->z, before->z, sizeof s->z);
-    memcpy(s->y, before->y, sizeof s->y);
+    memcpy(s->z, before->z, BYTES(NZ));
+    memcpy(s->y, before->y, BYTES(NY));
     return CHANGED;
 }
 
 /* Where the fixed point does not settle: the consistent combination of the relations that changed, and of those that
  * depend on them, with the fewest changes. */
-static Round search_modes(Instance *me, double flag, double slack, const State *before, const unsigned char *changed,
+static Round search_modes(Instance *me, double flag, double slack, const Modes *before, const unsigned char *changed,
                           Update *update) {
     enum { MOST = 12 };
     State *s = &me->s;
-    unsigned char tried[LENGTH(NM)] = {0};
+    unsigned char tried[LENGTH(NM)];
     int member[MOST], n = 0;
+    memset(tried, 0, sizeof tried);
     for (int i = 0; i < NM && n < MOST; i++) {
-        for (int j = 0; j < NM; j++) tried[i] |= changed[j] && MODEL_GROUP[i] == MODEL_GROUP[j];
+        for (int j = 0; j < NM; j++) tried[i] |= changed[j] && model.group[i] == model.group[j];
         if (tried[i]) member[n++] = i;
     }
     for (int distance = 0; distance <= n; distance++)
@@ -116,9 +122,9 @@ static Round search_modes(Instance *me, double flag, double slack, const State *
             int bits = 0;
             for (unsigned rest = mask; rest; rest &= rest - 1) bits++;
             if (bits != distance) continue;
-            memcpy(s->m, before->m, sizeof s->m);
-            memcpy(s->z, before->z, sizeof s->z);
-            memcpy(s->y, before->y, sizeof s->y);
+            memcpy(s->m, before->m, BYTES(NM));
+            memcpy(s->z, before->z, BYTES(NZ));
+            memcpy(s->y, before->y, BYTES(NY));
             for (int k = 0; k < n; k++)
                 if (mask >> k & 1) s->m[member[k]] = s->m[member[k]] == 0.0;
             if (try_modes(me, flag, slack, before, tried, update) == SETTLED) return SETTLED;
@@ -129,10 +135,15 @@ static Round search_modes(Instance *me, double flag, double slack, const State *
 /* The inner iteration: z and m that belong to each other at (s.t, s.x, s.u). */
 static Status settle(Instance *me, double flag, Update *update) {
     State *s = &me->s;
-    const State before = *s;
-    unsigned char changed[LENGTH(NM)] = {0};
+    double m0[LENGTH(NM)], z0[LENGTH(NZ)], y0[LENGTH(NY)];
+    const Modes before = {m0, z0, y0};
+    unsigned char changed[LENGTH(NM)];
+    memcpy(m0, s->m, sizeof m0);
+    memcpy(z0, s->z, sizeof z0);
+    memcpy(y0, s->y, sizeof y0);
+    memset(changed, 0, sizeof changed);
     for (int inner = 0; inner < 100; inner++) {
-        double m[LENGTH(NM)] = {0};
+        ZEROS(m, NM);
         const Round now = one_round(me, flag, EXACT, update, m);
         if (now == FAILED) {
             if (inner > 0) break;
@@ -153,23 +164,22 @@ static Status settle(Instance *me, double flag, Update *update) {
 Status event_iteration(Instance *me, int initial) {
     State *s = &me->s;
     s->have_dx = s->have_v = 0;
-    if (!MODEL_HAS_EVENTS) return STATUS_OK;
+    if (!model.has_events) return STATUS_OK;
     for (int outer = 0; outer < 100; outer++) {
-        Update update = {.next_event = INFINITY};
-        memcpy(update.x, s->x, sizeof s->x);
+        double x[LENGTH(NX)];
+        Update update = {.x = x, .next_event = INFINITY};
+        memcpy(x, s->x, sizeof x);
         Status status = settle(me, initial, &update);
         if (status > STATUS_WARNING) return status;
         s->next_event = update.next_event;
-#if MODEL_NDELAY > 0
         s->memory.own_next = update.next_event;
         s->next_event = fmin(s->next_event, next_delayed_event(me));
-#endif
         if (update.terminate != 0.0) s->terminate = 1;
         if (initial) return whole_numbers(me);
         status = update_sensitivities(me, update.reinit != 0.0);
         if (status > STATUS_WARNING) return status;
         const int again = !same(s->z, s->pz, NZ) || update.reinit != 0.0;
-        memcpy(s->pz, s->z, sizeof s->z);
+        memcpy(s->pz, s->z, BYTES(NZ));
         if (update.reinit != 0.0) memcpy(s->x, update.x, NX * sizeof *s->x);
         if (!again) return whole_numbers(me);
     }

@@ -414,13 +414,13 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *n) {
     IN(ANY);
-    *n = NM;
+    *n = (size_t)NM;
     return fmi3OK;
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *n) {
     IN(ANY);
-    *n = NX;
+    *n = (size_t)NX;
     return fmi3OK;
 }
 

@@ -4,28 +4,27 @@
 
 #include "instance.h"
 
-static const Pattern PATTERN_I = PATTERN(I);
-
 /* A new or reset instance: every byte of the state is defined, so that equal runs are equal bit by bit. */
 void set_defaults(Instance *me) {
     State *s = &me->s;
     const int is_co_simulation = s->is_co_simulation;
     free_sensitivities(me);
+    char *block = s->block;
     memset(s, 0, sizeof *s);
+    memset(block, 0, lend_state(s, block));
     s->is_co_simulation = is_co_simulation;
     s->phase = PHASE_INSTANTIATED;
-    s->tolerance = MODEL_TOLERANCE;
+    s->tolerance = model.default_tolerance;
     s->next_event = INFINITY;
-    memcpy(s->p, me->start.p, sizeof s->p);
-    memcpy(s->u, me->start.u, sizeof s->u);
-    memcpy(s->xs, me->start.xs, sizeof s->xs);
-    memcpy(s->xs_set, me->start.xs_set, sizeof s->xs_set);
+    memcpy(s->p, me->start.p, BYTES(NP));
+    memcpy(s->u, me->start.u, BYTES(NU));
+    memcpy(s->xs, me->start.xs, BYTES(NX));
+    memcpy(s->xs_set, me->start.xs_set, (size_t)NX);
 }
 
 /* Newton for the implicit initial equations: unknowns [x; y], started at [xs; y]. */
 static int solve_initial(Instance *me) {
-    enum { N = NX + NY };
-    static const double x_scale[] = MODEL_X_SCALE;
+    const int N = NX + NY;
     State *s = &me->s;
     double r[LENGTH(N)], old[LENGTH(N)];
     double last = INFINITY;
@@ -56,7 +55,7 @@ static int solve_initial(Instance *me) {
         double step = 0.0;
         for (int i = 0; i < N; i++) {
             double *value = i < NX ? &s->x[i] : &s->y[i - NX];
-            const double scale = i < NX ? x_scale[i] : MODEL_Y_NOMINAL[i - NX];
+            const double scale = i < NX ? model.x_scale[i] : model.y_nominal[i - NX];
             step = fmax(step, fabs(r[i]) / fmax(scale > 0.0 ? scale : 1.0, fabs(*value)));
             old[i] = *value;
             *value -= r[i];
@@ -68,12 +67,12 @@ static int solve_initial(Instance *me) {
 
 static Status solve_start(Instance *me) {
     State *s = &me->s;
-    if (MODEL_HAS_INITIAL) {
+    if (model.has_initial) {
         if (solve_initial(me))
             return report(me, STATUS_ERROR, "t = %.9g: the initial equations have no solution near the start values",
                           s->t);
     } else {
-        memcpy(s->x, s->xs, sizeof s->x);
+        memcpy(s->x, s->xs, BYTES(NX));
     }
     if (solve_loop(me, s->t, s->x, s->u))
         return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution near its start values", s->t);
@@ -83,11 +82,11 @@ static Status solve_start(Instance *me) {
 /* Dependent parameters, start values, initial equations and the first event iteration, from what has been set. */
 static Status initialise_once(Instance *me) {
     State *s = &me->s;
-    double xs[LENGTH(NX)] = {0};
+    ZEROS(xs, NX);
     s->t = s->start_time;
     s->have_dx = s->have_v = 0;
     me->arg[0] = s->p;
-    for (int i = 0; i < MODEL_SZ_RES; i++) me->res[i] = NULL;
+    for (int i = 0; i < model.sz_res; i++) me->res[i] = NULL;
     me->res[0] = s->d;
     model_dependent(me->arg, me->res, me->iw, me->w, 0);
     s->laws = model_laws(s->p, me->iw, me->w);
@@ -99,12 +98,12 @@ static Status initialise_once(Instance *me) {
     model_start(me->arg, me->res, me->iw, me->w, 0);
     for (int i = 0; i < NX; i++)
         if (!s->xs_set[i]) s->xs[i] = xs[i];
-    memcpy(s->x, s->xs, sizeof s->x);
-    memcpy(s->pz, s->z, sizeof s->z);
-    memset(s->m, 0, sizeof s->m);
+    memcpy(s->x, s->xs, BYTES(NX));
+    memcpy(s->pz, s->z, BYTES(NZ));
+    memset(s->m, 0, BYTES(NM));
     s->next_event = INFINITY;
     Status status = STATUS_OK;
-    if (!MODEL_HAS_EVENTS) {
+    if (!model.has_events) {
         status = solve_start(me);
         if (status <= STATUS_WARNING) status = start_sensitivities(me);
     } else {
@@ -122,15 +121,13 @@ static Status initialise_once(Instance *me) {
         if (status <= STATUS_WARNING && !settled)
             status = report(me, STATUS_ERROR, "t = %.9g: the discrete variables do not settle at initialisation", s->t);
         if (status <= STATUS_WARNING) status = start_sensitivities(me);
-        memcpy(s->pz, s->z, sizeof s->z);
+        memcpy(s->pz, s->z, BYTES(NZ));
         if (status <= STATUS_WARNING) status = event_iteration(me, 0);
         if (status <= STATUS_WARNING) status = leave_event(me);
     }
     for (int i = 0; i < NX && status <= STATUS_WARNING; i++)
-        if (!isfinite(s->x[i])) {
-            static const char *const name[] = MODEL_X_NAME;
-            status = report(me, STATUS_ERROR, "t = %.9g: the start value of %s is not finite", s->t, name[i]);
-        }
+        if (!isfinite(s->x[i]))
+            status = report(me, STATUS_ERROR, "t = %.9g: the start value of %s is not finite", s->t, model.x_name[i]);
     if (status <= STATUS_WARNING) status = whole_numbers(me);
     return status;
 }

@@ -1,22 +1,24 @@
 /* One instance of the model: its state, its work memory and the operations behind the FMI functions.
  *
- * Sizes are compile-time constants of the model (model.h), so an instance is one flat block: State is all that a
- * simulation changes, and copying it is what FMI calls getting and setting the FMU state. */
+ * Sizes are those of `model`, so that what does not depend on the model is compiled once for all of them. An instance is
+ * one block of memory: State, with the arrays that it points to, is all that a simulation changes, and copying them is
+ * what FMI calls getting and setting the FMU state. */
 #ifndef FMUID_INSTANCE_H
 #define FMUID_INSTANCE_H
 
 #include <stddef.h>
 
-#include "linear.h"
-#include "model.h"
-#include "model_config.h"
-#include "switches.h"
+#include <string.h>
 
-enum { NX = MODEL_NX, NU = MODEL_NU, NP = MODEL_NP, ND = MODEL_ND, NZ = MODEL_NZ };
-enum { NDELAY = MODEL_NDELAY, NIN = NU - NDELAY }; /* the values of delay() follow the inputs in u */
-enum { NM = MODEL_NM, NY = MODEL_NY, NV = MODEL_NV, STAGES = 8 };
+#include "linear.h"
+#include "model_data.h"
+
+enum { STAGES = 8 };
 #define LENGTH(n) ((n) > 0 ? (n) : 1)
-#define LARGER(a, b) ((a) > (b) ? (a) : (b))
+#define BYTES(n) ((size_t)LENGTH(n) * sizeof(double))
+#define ZEROS(name, n)          \
+    double name[LENGTH(n)];     \
+    memset(name, 0, sizeof name)
 
 typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL } Status; /* as in FMI */
 
@@ -34,13 +36,13 @@ typedef enum {
 typedef struct {
     double t0, h;                 /* the step started at t0 with size h ... */
     double t1;                    /* ... and is valid up to t1 <= t0 + h: an event may end it earlier */
-    double x0[LENGTH(NX)], x1[LENGTH(NX)];
-    double k[STAGES][LENGTH(NX)]; /* stage increments: dense output */
+    double *x0, *x1;
+    double *k[STAGES]; /* stage increments: dense output */
     double h_next;                /* proposed size, 0 before the first step */
     double h_start;               /* proposed for the first step after a restart, once one was rejected */
     double h_old, error_old;      /* last accepted size and error, for the predictive controller */
-    double size[LENGTH(NX)];      /* largest |x| so far: scale of the states without nominal value */
-    double u[LENGTH(NU)], du[LENGTH(NU)], u_time; /* input u + du (t - u_time) that the step was made with */
+    double *size;                 /* largest |x| so far: scale of the states without nominal value */
+    double *u, *du, u_time;       /* input u + du (t - u_time) that the step was made with */
     int fresh;                    /* the integration (re)starts at t1: nothing is known beyond it */
     int event;                    /* an event waits at t1 */
     long steps, rejections;
@@ -50,8 +52,8 @@ typedef struct {
 typedef struct {
     size_t first_row, rows;
     double until, event, own_next;              /* how far it reaches; time of the last event; the model's next one */
-    double time[LENGTH(NDELAY)], at_start[LENGTH(NDELAY)], size[LENGTH(NDELAY)];
-    double x[LENGTH(NX)], dx[LENGTH(NX)], u[LENGTH(NU)]; /* at `until`, in model exchange */
+    double *time, *at_start, *size;
+    double *x, *dx, *u; /* at `until`, in model exchange */
 } Memory;
 
 typedef struct {
@@ -62,20 +64,18 @@ typedef struct {
     int input_event;  /* an input changed since the last event iteration */
     int terminate;
     double t, start_time, stop_time, tolerance, next_event;
-    double p[LENGTH(NP)], d[LENGTH(ND)];
-    double u[LENGTH(NU)], du[LENGTH(NU)]; /* value and slope at t */
-    unsigned char u_set[LENGTH(NU)], du_set[LENGTH(NU)], xs_set[LENGTH(NX)];
-    double xs[LENGTH(NX)], x[LENGTH(NX)], z[LENGTH(NZ)], pz[LENGTH(NZ)], m[LENGTH(NM)], y[LENGTH(NY)];
-    double dx[LENGTH(NX)], v[LENGTH(NV)];
+    double *p, *d;
+    double *u, *du; /* value and slope at t */
+    unsigned char *u_set, *du_set, *xs_set;
+    double *xs, *x, *z, *pz, *m, *y, *dx, *v;
     int have_dx, have_v;
-    unsigned char warned[LENGTH(MODEL_NASSERT)];
-    double reach[LENGTH(NM)]; /* largest indicators so far */
+    unsigned char *warned; /* by assertion */
+    double *reach;            /* largest indicators so far */
     double event_time;        /* of the last event inside a step */
     int chatter, widened;     /* events in a row about a threshold; how often their width was doubled */
     Step step;
-#if MODEL_NDELAY > 0
     Memory memory;
-#endif
+    char *block; /* what the arrays are in */
 } State;
 
 typedef struct Instance Instance;
@@ -90,29 +90,22 @@ typedef struct {
 struct Instance {
     State s;
     struct {
-        double p[LENGTH(NP)], u[LENGTH(NU)], xs[LENGTH(NX)];
-        unsigned char xs_set[LENGTH(NX)];
+        double *p, *u, *xs;
+        unsigned char *xs_set;
     } start; /* what reset goes back to */
     /* work memory: nothing in it outlives one call */
-    const double *arg[LARGER(MODEL_SZ_ARG, SWITCHES_SZ_ARG) + 1];
-    double *res[LARGER(MODEL_SZ_RES, SWITCHES_SZ_RES) + 1];
+    const double **arg;
+    double **res;
     casadi_int iw[1];
-    double w[LARGER(MODEL_SZ_W, SWITCHES_SZ_W) + 1];
-    double ut[LENGTH(NU)], g[LENGTH(NM)];
+    double *w;
+    double *ut, *g;
     /* of [dx; r] at the beginning of the step: by [x; y], and by t with the slopes of the inputs */
-    double jacobian[LENGTH(MODEL_J_NONZEROS)], by_time[LENGTH(NX + NY)], f0[LENGTH(NX)];
-    double matrix[LENGTH(MODEL_J_NONZEROS)], drdy[LENGTH(MODEL_R_NONZEROS)], drdt[LENGTH(NY)];
-    double initial[LENGTH(MODEL_I_NONZEROS)];
+    double *jacobian, *by_time, *f0;
+    double *matrix, *drdy, *drdt;
+    double *initial;
     Factors lu_step, lu_loop, lu_start;
-    struct {
-        double step[LENGTH(MODEL_J_FACTORS)], loop[LENGTH(MODEL_R_FACTORS)], start[LENGTH(MODEL_I_FACTORS)];
-        double work[3][2 * (NX + NY) + 1];
-        int pivot[3][LENGTH(NX + NY)];
-    } factors; /* what Factors point to */
-#if MODEL_NDELAY > 0
-    double *remembered; /* pieces of the past, and room for so many */
+    double *remembered; /* pieces of the past of delay(), and room for so many */
     size_t room;
-#endif
     Listener listener;
     char *name;
     int logging;
@@ -128,17 +121,27 @@ int input_place(unsigned reference, double *sign);
 
 /* A direction in the independent vectors (x, u, p, d, z and its pre-values, t), and what follows from it. */
 typedef struct {
-    double x[LENGTH(NX)], u[LENGTH(NU)], p[LENGTH(NP)], d[LENGTH(ND)], z[LENGTH(NZ)], pz[LENGTH(NZ)], t;
-    double y[LENGTH(NY)], dx[LENGTH(NX)], v[LENGTH(NV)], next_event;
+    double *x, *u, *p, *d, *z, *pz, t;
+    double *y, *dx, *v, next_event;
 } Direction;
 
-/* Their matrices: J of integrator and sensitivities, R of Newton's method for loops, I of that for initial equations. */
-#define PATTERN(m)                                                                                                 \
-    {MODEL_##m##_N, MODEL_##m##_DENSE, MODEL_##m##_NONZEROS, MODEL_##m##_FACTORS, MODEL_##m##_START,               \
-     MODEL_##m##_ROW, MODEL_##m##_COLUMN, MODEL_##m##_PLACE, MODEL_##m##_LU_START, MODEL_##m##_LU_DIAGONAL,        \
-     MODEL_##m##_LU_ROW, MODEL_GROWTH, MODEL_##m##_FACTOR_CODE, MODEL_##m##_SOLVE_CODE}
-#define FACTORISE(m, a, f) factorise(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, a, f)
-#define SOLVE(m, f, b) solve(MODEL_##m##_N, MODEL_##m##_DENSE, &PATTERN_##m, f, b)
+/* The numbers that a direction points to, and a direction with all of them zero. */
+#define DIRECTION_NUMBERS                                                                                           \
+    ((size_t)(2 * LENGTH(NX) + LENGTH(NU) + LENGTH(NP) + LENGTH(ND) + 2 * LENGTH(NZ) + LENGTH(NY) + LENGTH(NV)))
+static inline Direction direction_in(double *numbers) {
+    Direction s = {.x = numbers};
+    memset(numbers, 0, DIRECTION_NUMBERS * sizeof *numbers);
+    s.dx = s.x + LENGTH(NX), s.u = s.dx + LENGTH(NX), s.p = s.u + LENGTH(NU), s.d = s.p + LENGTH(NP);
+    s.z = s.d + LENGTH(ND), s.pz = s.z + LENGTH(NZ), s.y = s.pz + LENGTH(NZ), s.v = s.y + LENGTH(NY);
+    return s;
+}
+static inline void copy_direction(const Direction *from, Direction *to) {
+    memcpy(to->x, from->x, DIRECTION_NUMBERS * sizeof *to->x);
+    to->t = from->t, to->next_event = from->next_event;
+}
+#define DIRECTION(s)                          \
+    double s##_numbers[DIRECTION_NUMBERS];    \
+    Direction s = direction_in(s##_numbers)
 
 /* A generated function of what environment_at and me->res point to. */
 #define CALL(name) model_##name(me->arg, me->res, me->iw, me->w, me->s.laws)
@@ -159,7 +162,11 @@ void relations(Instance *me, double t, const double *x, const double *u, double 
 int relations_for_input(Instance *me, double *kept);
 int evaluate_derivatives(Instance *me);
 int evaluate_variables(Instance *me);
+void environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s, int first);
+void loop_environment_along(Instance *me, const double *t, const double *x, const double *u, const Direction *s);
 int partials_along(Instance *me, double t, const double *x, const double *u, Direction *s);
+
+/* directions.c, assertions.c */
 int derivatives_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int variables_along(Instance *me, double t, const double *x, const double *u, Direction *s);
 int indicators_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *g);
@@ -183,7 +190,6 @@ void find_event(Instance *me, double from, double to, int samples);
 void watch_chattering(Instance *me);
 
 /* past.c, delays.c */
-#if MODEL_NDELAY > 0
 void delayed_at(const Instance *me, double t, double *u, double *du);
 double next_delayed_event(const Instance *me);
 Status remember(Instance *me, double t);
@@ -198,16 +204,6 @@ int delayed_expressions(Instance *me, double t, const double *x, const double *u
 int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along);
 double delayed_slope(const Instance *me, int k, double t, int after);
 int jump_due(const Instance *me, double *past);
-#else
-#define delayed_at(me, t, u, du) ((void)0)
-#define remember(me, t) STATUS_OK
-#define remember_point(me) STATUS_OK
-#define pass_delays(me) STATUS_OK
-#define begin_past(me, settled) STATUS_OK
-#define memory_size(me) ((size_t)0)
-#define copy_memory(me, to) ((void)0)
-#define restore_memory(me, from) STATUS_OK
-#endif
 
 /* dense_output.c */
 void dense_output(const Step *step, double t, double *x);
@@ -255,7 +251,11 @@ Status event_time_along(Instance *me, Direction *along, size_t n, int inside);
 Status event_update_along(Instance *me, Direction *along, size_t n, int initial, int reinit);
 Status event_end_along(Instance *me, Direction *along, size_t n);
 
-/* lifecycle.c: memory, the complete state, arrays of model exchange */
+/* arrays.c */
+size_t lend_state(State *s, char *block);
+size_t lend_instance(Instance *me, char *block);
+
+/* lifecycle.c: creation, the complete state, arrays of model exchange */
 Instance *new_instance(const char *name, const char *guid, const char *resources, Listener listener,
                        int is_co_simulation);
 void free_instance(Instance *me);

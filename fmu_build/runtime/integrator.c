@@ -13,6 +13,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "model.h"
 #include "instance.h"
 
 static const double GAMMA = 0.21193756319429014;
@@ -55,10 +56,10 @@ void restart_integration(Instance *me) {
     Step *step = &s->step;
     step->t0 = step->t1 = s->t;
     step->h = 0.0;
-    memcpy(step->x0, s->x, sizeof s->x);
-    memcpy(step->x1, s->x, sizeof s->x);
-    memcpy(step->u, s->u, sizeof s->u);
-    memcpy(step->du, s->du, sizeof s->du);
+    memcpy(step->x0, s->x, BYTES(NX));
+    memcpy(step->x1, s->x, BYTES(NX));
+    memcpy(step->u, s->u, BYTES(NU));
+    memcpy(step->du, s->du, BYTES(NU));
     step->u_time = s->t;
     step->event = 0;
     step->fresh = 1;
@@ -67,8 +68,7 @@ void restart_integration(Instance *me) {
 
 /* Absolute error of x[i] that counts as one. */
 static double tolerance_of(const State *s, int i, double x) {
-    static const double nominal[] = MODEL_X_SCALE; /* 0: not given */
-    const double scale = nominal[i] > 0.0 ? nominal[i] : larger(SMALLEST_SCALE, s->step.size[i]);
+    const double scale = model.x_scale[i] > 0.0 ? model.x_scale[i] : larger(SMALLEST_SCALE, s->step.size[i]);
     return s->tolerance * larger(scale, fabs(x));
 }
 
@@ -88,19 +88,17 @@ static double first_step(Instance *me, double t, const double *x) {
 }
 
 /* Estimate of the local error of x[i] in the last attempt. */
-static double estimate(const Step *step, int i) {
+static inline double estimate(const Step *step, int i) {
     double other = 0.0;
     for (int j = 0; j < STAGES; j++) other += E[j] * step->k[j][i];
     return larger(fabs(step->k[7][i]), fabs(other));
 }
 
-static const Pattern PATTERN_J = PATTERN(J);
-
 /* The matrix of a step of size h. */
 static int factorise_step(Instance *me, double h) {
     double *restrict matrix = me->matrix;
-    for (int k = 0; k < MODEL_J_NONZEROS; k++) matrix[k] = -me->jacobian[k];
-    for (int i = 0; i < NX; i++) matrix[MODEL_J_DIAGONAL[i]] += 1.0 / (h * GAMMA);
+    for (int k = 0; k < model.J.nonzeros; k++) matrix[k] = -me->jacobian[k];
+    for (int i = 0; i < NX; i++) matrix[model.J.diagonal[i]] += 1.0 / (h * GAMMA);
     return FACTORISE(J, matrix, &me->lu_step);
 }
 
@@ -108,7 +106,7 @@ static int factorise_step(Instance *me, double h) {
 static double try_step(Instance *me, double t, double h) {
     Step *step = &me->s.step;
     const double *x = step->x0;
-    double(*k)[LENGTH(NX)] = step->k;
+    double *const *k = step->k;
     double argument[LENGTH(NX)], *x1 = step->x1, both[LENGTH(NX + NY)];
     if (factorise_step(me, h)) return NAN;
     for (int stage = 0; stage < STAGES; stage++) {
@@ -148,7 +146,6 @@ static double try_step(Instance *me, double t, double h) {
 
 /* Name of the state with the largest share in the error of the last attempt. */
 static const char *culprit(const Instance *me) {
-    static const char *const name[] = MODEL_X_NAME;
     const Step *step = &me->s.step;
     int worst = 0;
     double largest = -1.0;
@@ -157,7 +154,7 @@ static const char *culprit(const Instance *me) {
         if (!(e <= largest)) worst = i, largest = e;
         if (isnan(e)) break;
     }
-    return name[worst];
+    return model.x_name[worst];
 }
 
 static Status step_too_small(const Instance *me, double t, double error) {
@@ -181,9 +178,9 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (step->fresh || exact) limit = fmin(limit, target);
     step->event = 0;
     Status status = advance_sensitivities(me, t, 0);
-    if (status <= STATUS_WARNING) status = remember(me, t);
+    if (NDELAY > 0 && status <= STATUS_WARNING) status = remember(me, t);
     if (status > STATUS_WARNING) return status;
-    memcpy(step->x0, step->x1, sizeof step->x0);
+    memcpy(step->x0, step->x1, BYTES(NX));
     step->t0 = t;
     step->h = 0.0;
     for (int i = 0; i < NX; i++) step->size[i] = larger(step->size[i], fabs(step->x0[i]));
@@ -202,10 +199,8 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (linearise(me, t, step->x0))
         return report(me, STATUS_ERROR, "t = %.9g: the model's equations cannot be evaluated or solved", t);
     for (int i = 0; i < NX; i++)
-        if (!isfinite(me->f0[i])) {
-            static const char *const name[] = MODEL_X_NAME;
-            return report(me, STATUS_ERROR, "t = %.9g: the derivative of %s is not finite", t, name[i]);
-        }
+        if (!isfinite(me->f0[i]))
+            return report(me, STATUS_ERROR, "t = %.9g: the derivative of %s is not finite", t, model.x_name[i]);
     if (!(step->h_next > 0.0)) step->h_next = first_step(me, t, step->x0);
 
     /* What an input that has just changed sets off is as fast as after the last change. */

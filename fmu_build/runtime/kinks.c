@@ -25,16 +25,16 @@ static void predict(const Instance *me, const double *second, double tau, double
 /* A stretch of the last step at whose end a switching function has another sign than in `signs`. */
 typedef struct {
     double before, after; /* since the start of the step */
-    double low[LENGTH(MODEL_NSWITCH)], high[LENGTH(MODEL_NSWITCH)]; /* the functions at both */
+    double *low, *high; /* the functions at both */
 } Bracket;
 
 /* Moves one end of the bracket to tau; 1: the functions cannot be evaluated there. */
 static int cut(Instance *me, const double *second, const double *signs, double tau, Bracket *b) {
-    double now[LENGTH(MODEL_NSWITCH)], x[LENGTH(NX)];
+    double now[LENGTH(model.n_switches)], x[LENGTH(NX)];
     predict(me, second, tau, x);
     if (switches_at(me, me->s.step.t0 + tau, x, now)) return 1;
     int changed = 0;
-    for (int i = 0; i < MODEL_NSWITCH; i++) changed |= signs[i] * now[i] < 0.0;
+    for (int i = 0; i < model.n_switches; i++) changed |= signs[i] * now[i] < 0.0;
     *(changed ? &b->after : &b->before) = tau;
     memcpy(changed ? b->high : b->low, now, sizeof now);
     return 0;
@@ -47,7 +47,7 @@ static void narrow(Instance *me, const double *second, const double *signs, doub
     for (int trial = 0; trial < TRIALS && b->after - b->before > width; trial++) {
         const double room = b->after - b->before;
         double first = 1.0;
-        for (int i = 0; i < MODEL_NSWITCH; i++)
+        for (int i = 0; i < model.n_switches; i++)
             if (signs[i] * b->high[i] < 0.0) first = fmin(first, b->low[i] / (b->low[i] - b->high[i]));
         first += trial % 3 == 0 ? 0.03 : -0.03;
         if (trial % 3 == 2 || !(first > 0.0 && first < 1.0)) first = 0.5;
@@ -62,8 +62,9 @@ double first_kink(Instance *me, double h, int again) {
     enum { SAMPLES = 4, TRIES = 3 };
     static const double FINE = 2e-5; /* parts of the step */
     Step *step = &me->s.step;
-    double start[LENGTH(MODEL_NSWITCH)], curvature[LENGTH(NX)], part = 1.0;
-    if (MODEL_NSWITCH == 0 || switches_at(me, step->t0, step->x0, start)) return 1.0;
+    double start[LENGTH(model.n_switches)], low[LENGTH(model.n_switches)], high[LENGTH(model.n_switches)];
+    double curvature[LENGTH(NX)], part = 1.0;
+    if (model.n_switches == 0 || switches_at(me, step->t0, step->x0, start)) return 1.0;
     for (int i = 0; i < NX; i++)
         if (!isfinite(step->x1[i])) return 1.0;
     input_at(me, step->t0);
@@ -71,8 +72,8 @@ double first_kink(Instance *me, double h, int again) {
     const double *second = again ? NULL : curvature;
     step->h = h; /* for the dense output */
     for (int attempt = 0; attempt < TRIES; attempt++) {
-        Bracket b = {0.0, INFINITY, {0}, {0}};
-        memcpy(b.low, start, sizeof start);
+        Bracket b = {0.0, INFINITY, low, high};
+        memcpy(low, start, sizeof low);
         for (int sample = 1; sample <= SAMPLES && b.after > h; sample++)
             if (cut(me, second, start, h * sample / SAMPLES, &b)) break;
         if (b.after > h) break;
@@ -82,7 +83,7 @@ double first_kink(Instance *me, double h, int again) {
             break;
         }
         /* What rests at zero (a saturated bristle) changes its sign by rounding: that is no kink ahead. */
-        for (int i = 0; i < MODEL_NSWITCH; i++)
+        for (int i = 0; i < model.n_switches; i++)
             if (start[i] * b.high[i] < 0.0) start[i] = 0.0;
     }
     step->h = 0.0;
@@ -100,18 +101,19 @@ double next_kink(Instance *me, double from, double to, double *start, int *known
     const int given = *known;
     *known = 0;
     *smooth = to;
-    if (MODEL_NSWITCH == 0 || !(beginning > from)) return to;
+    if (model.n_switches == 0 || !(beginning > from)) return to;
     double x[LENGTH(NX)];
     if (!given) {
         dense_output(step, beginning, x);
         if (switches_at(me, beginning, x, start)) return to;
     }
-    Bracket b = {beginning - step->t0, INFINITY, {0}, {0}};
-    memcpy(b.low, start, sizeof b.low);
+    double low[LENGTH(model.n_switches)], high[LENGTH(model.n_switches)];
+    Bracket b = {beginning - step->t0, INFINITY, low, high};
+    memcpy(low, start, sizeof low);
     if (cut(me, NULL, start, to - step->t0, &b)) return to;
     if (b.after == INFINITY) {
         *known = 1;
-        memcpy(start, b.low, sizeof b.low);
+        memcpy(start, low, sizeof low);
         return to;
     }
     narrow(me, NULL, start, FINE * (to - from), &b);

@@ -11,10 +11,12 @@
 
 typedef struct {
     int n, dense;
-    int nonzeros, factors;     /* how many entries the matrix has, and the factors */
+    int nonzeros, factors, filled; /* how many entries the matrix has, the factors, and where they may be nonzero */
     const int *start, *row;    /* the matrix column by column */
+    const int *diagonal;       /* which of its entries are there */
     const int *column, *place; /* column eliminated in each step; for each row the step in which it is the pivot row */
     const int *lu_start, *lu_diagonal, *lu_row; /* the factors column by column, in steps */
+    const int *lu_updated; /* whether an elimination changes the entry */
     double growth; /* by how much an entry may outgrow the largest of its row */
     int (*factor)(const double *, double *); /* the same without tables, for a small matrix; else NULL */
     void (*solve)(const double *, double *);

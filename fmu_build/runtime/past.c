@@ -4,7 +4,6 @@
 
 #include "past.h"
 
-#if MODEL_NDELAY > 0
 /* The piece of a past time; where two meet, the later one if `after`. NULL: before the start. */
 static const double *piece_at(const Instance *me, double t, int after) {
     const Memory *m = &me->s.memory;
@@ -107,4 +106,3 @@ Status restore_memory(Instance *me, const char *from) {
     if (m->rows > 0) memcpy(me->remembered, from, memory_size(me));
     return STATUS_OK;
 }
-#endif

@@ -6,8 +6,7 @@
 
 #include "collocation.h"
 
-#if MODEL_NDELAY > 0
-enum { ROW = 2 + 4 * NDELAY };
+#define ROW ((size_t)(2 + 4 * NDELAY))
 
 static inline double *nth_piece(const Instance *me, size_t i) { return me->remembered + (me->s.memory.first_row + i) * ROW; }
 
@@ -24,6 +23,4 @@ static inline double in_piece(const double *piece, int k, double t, double *slop
 static inline size_t width(const struct Sensitivity *q) { return 2 + q->n * (1 + 4 * NDELAY); }
 
 static inline double *nth_move(const struct Sensitivity *q, size_t i) { return q->past.rows + (q->past.first + i) * width(q); }
-#endif
-
 #endif

@@ -4,10 +4,10 @@
 #include "collocation.h"
 
 /* As `planned_blocks` in sensitivity.c, with pivots chosen by size and blocks written out. */
-int pivoted_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
-    const Pattern *p = &PATTERN_BLOCKS;
-    int *index = malloc((LENGTH(RADAU * MODEL_J_NONZEROS + 2 * RADAU * NX) + 6 * N + 1) * sizeof *index);
-    double *value = malloc(LENGTH(RADAU * MODEL_J_NONZEROS + 2 * RADAU * NX) * sizeof *value);
+int pivoted_blocks(struct Sensitivity *q, double h, double *const *jacobian) {
+    const Pattern *p = &model.J;
+    int *index = malloc((LENGTH(RADAU * model.J.nonzeros + 2 * RADAU * NX) + 6 * N + 1) * sizeof *index);
+    double *value = malloc(LENGTH(RADAU * model.J.nonzeros + 2 * RADAU * NX) * sizeof *value);
     int failed = !index || !value, used = 0;
     int *start = index, *column = start + RADAU * N + 1, *row = column + RADAU * N;
     for (int c = 0; !failed && c < RADAU * N; c++) {
@@ -34,9 +34,9 @@ int solve_pivoted(struct Sensitivity *q, const double *y, double *to) {
     if (!b) return 1;
     for (size_t p = 0; p < q->n; p++) {
         for (int i = 0; i < RADAU * N; i++)
-            b[i] = y[((size_t)PATTERN_BLOCKS.place[i / RADAU] * RADAU + i % RADAU) * q->n + p];
+            b[i] = y[((size_t)model.J.place[i / RADAU] * RADAU + i % RADAU) * q->n + p];
         int *column = (int *)(void *)(b + RADAU * N);
-        for (int i = 0; i < RADAU * N; i++) column[i] = PATTERN_BLOCKS.column[i / RADAU] * RADAU + i % RADAU;
+        for (int i = 0; i < RADAU * N; i++) column[i] = model.J.column[i / RADAU] * RADAU + i % RADAU;
         pivoted_solve(RADAU * N, column, q->other, q->work, b);
         for (int i = 0; i < RADAU * N; i++) to[i * q->n + p] = b[i];
     }

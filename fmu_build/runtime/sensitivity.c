@@ -36,9 +36,9 @@ static inline size_t slices_of(const struct Sensitivity *q, int k) {
 /* Derivatives of [f; r] by what the directions move, along all of them, into q->by_moves; with the entries of J. */
 static int shared_slopes(Instance *me, const double *t, const double *x, const double *u, double *jacobian) {
     struct Sensitivity *q = me->sensitivity;
-    double by_moved[LENGTH(MODEL_NSLOPE + MODEL_NELEMENT)];
+    double by_moved[LENGTH(model.n_slopes + model.n_elements)];
     environment_at(me, t, x, u);
-    if (q->n_active > 0 && q->active[0] >= MODEL_NSLOPE) { /* of tables alone */
+    if (q->n_active > 0 && q->active[0] >= model.n_slopes) { /* of tables alone */
         me->res[0] = me->res[2] = NULL;
         me->res[1] = jacobian;
         if (CALL(jacobian)) return 1;
@@ -49,15 +49,15 @@ static int shared_slopes(Instance *me, const double *t, const double *x, const d
     }
     if (q->elements) {
         environment_at(me, t, x, u);
-        me->res[0] = by_moved + MODEL_NSLOPE;
+        me->res[0] = by_moved + model.n_slopes;
         if (CALL(element_slopes)) return 1;
     }
     EACH_LIVE(q, first, end)
         for (int row = 0; row < N; row++) memset(q->by_moves + row * q->n + first, 0, (end - first) * sizeof(double));
     for (int a = 0; a < q->n_active; a++) {
-        const int k = q->active[a], column = MODEL_SLOPE_COLUMN[k];
+        const int k = q->active[a], column = model.slope_column[k];
         if (by_moved[k] != 0.0) memset(q->live + q->moved[column].first / SLICE, 1, slices_of(q, column));
-        add_moved(q, by_moved[k], column, q->by_moves + MODEL_SLOPE_ROW[k] * q->n);
+        add_moved(q, by_moved[k], column, q->by_moves + model.slope_row[k] * q->n);
     }
     return 0;
 }
@@ -100,7 +100,7 @@ static int slopes_at(Instance *me, double t, const double *x, const double *u, d
     }
     for (int i = 0; i < NU; i++) {
         if (i < NIN && !q->drive.driven[i]) continue;
-        Direction s = {.u = {0}};
+        DIRECTION(s);
         s.u[i] = 1.0;
         if (partials_along(me, t, x, u, &s)) return 1;
         add_driven(me, i, t, s.dx, NX, q->by_moves);
@@ -118,7 +118,7 @@ static int stage_slopes(Instance *me, double t, const double *x, double h, int i
     EACH_LIVE(q, first, end)
         for (int row = 0; row < N; row++)
             add_row(end - first, row_factor(row, h), q->by_moves + row * n + first,
-                    rows + ((size_t)MODEL_J_PLACE[row] * RADAU + i) * n + first);
+                    rows + ((size_t)model.J.place[row] * RADAU + i) * n + first);
     return 0;
 }
 
@@ -163,40 +163,40 @@ static inline int invert(const double *restrict a, double *restrict inverse) {
 
 /* Factorises the collocation matrix of blocks -h diag(J_1, J_2, J_3), plus W on the diagonal of the states, with the
  * planned pivots; 1: an entry has grown out of proportion to its row. */
-static int planned_blocks(struct Sensitivity *q, double h, double (*jacobian)[LENGTH(MODEL_J_NONZEROS)]) {
-    const Pattern *p = &PATTERN_BLOCKS;
+static int planned_blocks(struct Sensitivity *q, double h, double *const *jacobian) {
+    const Pattern *p = &model.J;
     double *restrict x = q->work, *restrict bound = x + BLOCK * N, *restrict lu = q->factors;
     int grown = 0;
     for (int i = 0; i < N; i++) bound[p->place[i]] = i < NX ? p->growth : 0.0;
-    for (int k = 0; k < MODEL_J_NONZEROS; k++) {
+    for (int k = 0; k < model.J.nonzeros; k++) {
         double *b = &bound[p->place[p->row[k]]];
         for (int i = 0; i < RADAU; i++) *b = fmax(*b, p->growth * fabs(row_factor(p->row[k], h) * jacobian[i][k]));
     }
     for (int k = 0; k < N; k++) {
-        const int column = p->column[k], diagonal = MODEL_J_LU_DIAGONAL[k], end = MODEL_J_LU_START[k + 1];
-        for (int r = MODEL_J_LU_START[k]; r < end; r++)
-            for (int i = 0; i < BLOCK; i++) x[MODEL_J_LU_ROW[r] * BLOCK + i] = 0.0;
+        const int column = p->column[k], diagonal = p->lu_diagonal[k], end = p->lu_start[k + 1];
+        for (int r = p->lu_start[k]; r < end; r++)
+            for (int i = 0; i < BLOCK; i++) x[p->lu_row[r] * BLOCK + i] = 0.0;
         for (int s = p->start[column]; s < p->start[column + 1]; s++) {
             double *block = x + p->place[p->row[s]] * BLOCK;
             for (int i = 0; i < RADAU; i++) block[i * (RADAU + 1)] = -row_factor(p->row[s], h) * jacobian[i][s];
             if (p->row[s] == column && column < NX)
                 for (int i = 0; i < BLOCK; i++) block[i] += W[i / RADAU][i % RADAU];
         }
-        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++) {
-            const int j = MODEL_J_LU_ROW[s];
+        for (int s = p->lu_start[k]; s < diagonal; s++) {
+            const int j = p->lu_row[s];
             const double *u = x + j * BLOCK;
             for (int i = 0; i < BLOCK; i++) {
                 lu[s * BLOCK + i] = u[i];
                 grown |= !(fabs(u[i]) <= bound[j]);
             }
-            for (int r = MODEL_J_LU_DIAGONAL[j] + 1; r < MODEL_J_LU_START[j + 1]; r++)
-                (MODEL_J_LU_UPDATED[s] ? subtract_product : subtract_scaled)(lu + r * BLOCK, u, x + MODEL_J_LU_ROW[r] * BLOCK);
+            for (int r = p->lu_diagonal[j] + 1; r < p->lu_start[j + 1]; r++)
+                (p->lu_updated[s] ? subtract_product : subtract_scaled)(lu + r * BLOCK, u, x + p->lu_row[r] * BLOCK);
         }
         grown |= invert(x + k * BLOCK, lu + diagonal * BLOCK);
         for (int r = diagonal + 1; r < end; r++) {
-            const double *own = x + MODEL_J_LU_ROW[r] * BLOCK;
-            for (int i = 0; i < BLOCK; i++) grown |= !(fabs(own[i]) <= bound[MODEL_J_LU_ROW[r]]);
-            product(MODEL_J_LU_UPDATED[r], own, lu + diagonal * BLOCK, lu + r * BLOCK);
+            const double *own = x + p->lu_row[r] * BLOCK;
+            for (int i = 0; i < BLOCK; i++) grown |= !(fabs(own[i]) <= bound[p->lu_row[r]]);
+            product(p->lu_updated[r], own, lu + diagonal * BLOCK, lu + r * BLOCK);
         }
     }
     return grown;
@@ -213,23 +213,24 @@ static inline void subtract_rows(size_t m, size_t n, const double *block, const 
 
 /* Solves for m directions: `y` has the rows in steps, `to` receives those of the unknowns, all n apart. */
 static inline void solve_rows(const struct Sensitivity *q, size_t m, size_t n, double *y, double *to) {
-    const Pattern *p = &PATTERN_BLOCKS;
+    const Pattern *p = &model.J;
     const double *lu = q->factors;
+    const int *const start = p->lu_start, *const at = p->lu_diagonal, *const row = p->lu_row, size = N;
     const size_t all = RADAU * n;
-    for (int k = 0; k < N; k++)
-        for (int r = MODEL_J_LU_DIAGONAL[k] + 1; r < MODEL_J_LU_START[k + 1]; r++)
-            subtract_rows(m, n, lu + r * BLOCK, y + k * all, y + MODEL_J_LU_ROW[r] * all);
-    for (int k = N - 1; k >= 0; k--) {
-        const int diagonal = MODEL_J_LU_DIAGONAL[k];
+    for (int k = 0; k < size; k++)
+        for (int r = at[k] + 1; r < start[k + 1]; r++)
+            subtract_rows(m, n, lu + r * BLOCK, y + k * all, y + row[r] * all);
+    for (int k = size - 1; k >= 0; k--) {
+        const int diagonal = at[k];
         double *solved = to + p->column[k] * all, negative[BLOCK];
         for (int i = 0; i < BLOCK; i++) negative[i] = -lu[diagonal * BLOCK + i];
         for (int i = 0; i < RADAU; i++)
             for (size_t j = 0; j < m; j++) solved[i * n + j] = 0.0;
         subtract_rows(m, n, negative, y + k * all, solved);
-        for (int s = MODEL_J_LU_START[k]; s < diagonal; s++) {
+        for (int s = start[k]; s < diagonal; s++) {
             const double *block = lu + s * BLOCK;
-            double *rows = y + MODEL_J_LU_ROW[s] * all;
-            if (MODEL_J_LU_UPDATED[s]) subtract_rows(m, n, block, solved, rows);
+            double *rows = y + row[s] * all;
+            if (p->lu_updated[s]) subtract_rows(m, n, block, solved, rows);
             else
                 for (int i = 0; i < RADAU; i++) add_row(m, -block[i * (RADAU + 1)], solved + i * n, rows + i * n);
         }
@@ -244,12 +245,13 @@ static Status solve_piece(Instance *me) {
     const Step *step = &me->s.step;
     const double h = q->to - q->from;
     const size_t n = q->n;
-    double x[LENGTH(NX)], jacobian[RADAU][LENGTH(MODEL_J_NONZEROS)];
+    double x[LENGTH(NX)], slopes[RADAU * LENGTH(model.J.nonzeros)];
+    double *const jacobian[RADAU] = {slopes, slopes + model.J.nonzeros, slopes + 2 * model.J.nonzeros};
     int failed = 0;
     EACH_LIVE(q, first, end)
         for (int row = 0; row < N; row++)
             for (int i = 0; i < RADAU; i++) {
-                double *target = q->rest + ((size_t)PATTERN_BLOCKS.place[row] * RADAU + i) * n;
+                double *target = q->rest + ((size_t)model.J.place[row] * RADAU + i) * n;
                 for (size_t p = first; p < end; p++) target[p] = row < NX ? W_SUM[i] * q->start[row * n + p] : 0.0;
             }
     for (int i = 0; i < RADAU && !failed; i++) {
@@ -352,9 +354,9 @@ Status advance_sensitivities(Instance *me, double t, int restart) {
 static int follow_system(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     const State *now = &me->s;
-    const Pattern *p = &PATTERN_BLOCKS;
+    const Pattern *p = &model.J;
     const size_t n = q->n;
-    double jacobian[LENGTH(MODEL_J_NONZEROS)], b[LENGTH(NY)];
+    double jacobian[LENGTH(model.J.nonzeros)], b[LENGTH(NY)];
     double *y = q->rest + NX * n, *dx = y + NY * n;
     if (slopes_at(me, now->t, now->x, now->u, jacobian)) return 1;
     memcpy(dx, q->by_moves, NX * n * sizeof *dx);
@@ -382,23 +384,23 @@ static int follow_variables(Instance *me, const unsigned char *asked) {
     struct Sensitivity *q = me->sensitivity;
     const State *now = &me->s;
     const size_t n = q->n;
-    double computed[LENGTH(MODEL_NOUTPUT_SLOPE)];
+    double computed[LENGTH(model.n_output_slopes)];
     environment_at(me, &now->t, now->x, now->u);
     me->res[0] = computed;
     if (CALL(output_slopes)) return 1;
     for (int i = 0; i < NV; i++)
         if (asked[i]) memset(q->shown + i * n, 0, n * sizeof *q->shown);
-    for (int k = 0; k < MODEL_NOUTPUT_SLOPE + MODEL_NCONSTANT_SLOPE; k++) {
-        const int column = MODEL_VARIABLE_COLUMN[k], moved = column - N;
-        if (!asked[MODEL_VARIABLE_ROW[k]]) continue;
-        const double slope = k < MODEL_NOUTPUT_SLOPE ? computed[k] : MODEL_CONSTANT[k - MODEL_NOUTPUT_SLOPE];
-        double *row = q->shown + MODEL_VARIABLE_ROW[k] * n;
+    for (int k = 0; k < model.n_output_slopes + model.n_constant_slopes; k++) {
+        const int column = model.variable_column[k], moved = column - N;
+        if (!asked[model.variable_row[k]]) continue;
+        const double slope = k < model.n_output_slopes ? computed[k] : model.constant_slope[k - model.n_output_slopes];
+        double *row = q->shown + model.variable_row[k] * n;
         if (moved < 0) add_row(n, slope, q->rest + column * n, row);
         else add_moved(q, slope, moved, row);
     }
     for (int i = 0; i < NU; i++) {
         if (i < NIN && !q->drive.driven[i]) continue;
-        Direction s = {.u = {0}};
+        DIRECTION(s);
         s.u[i] = 1.0;
         if (variables_along(me, now->t, now->x, now->u, &s)) return 1;
         for (int row = 0; row < NV; row++)
@@ -441,13 +443,14 @@ static const double *row_of(const struct Sensitivity *q, Vector vector, int inde
 Status sensitivities_of(Instance *me, const unsigned *variables, size_t n, double *values) {
     struct Sensitivity *q = me->sensitivity;
     int system = NY > 0, shown = 0, all = 0;
-    unsigned char asked[LENGTH(NV)] = {0};
+    unsigned char asked[LENGTH(NV)];
+    memset(asked, 0, sizeof asked);
     for (size_t i = 0; i < n; i++) {
         const VariableEntry *entry = differentiable(me, variables[i]);
         if (!entry) return STATUS_ERROR;
         system |= entry->vector == VECTOR_DX;
         if (entry->vector == VECTOR_V) shown = asked[entry->index] = 1;
-        all |= entry->vector == VECTOR_V && !MODEL_OUTPUT[entry->index] && !MODEL_LINEAR[entry->index];
+        all |= entry->vector == VECTOR_V && !model.is_output[entry->index] && !model.is_linear[entry->index];
     }
     const Status status = evaluate(me, me->s.t, q->rest);
     if (status > STATUS_WARNING) return status;

@@ -14,13 +14,12 @@ void free_sensitivities(Instance *me) {
         free(q->parameters);
         free(q->weights);
         free(q->along);
+        free(q->numbers);
         free(q->moves);
         free(q->apart);
         free(q->live);
-#if MODEL_NDELAY > 0
         free(q->past.rows);
         free(q->past.start);
-#endif
         free_pivoted(&q->other);
     }
     free(q);
@@ -28,22 +27,40 @@ void free_sensitivities(Instance *me) {
 }
 
 /* Rows of n in the block of numbers that begins with `moves`. */
-enum { ROWS = LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV + 4 * NU) };
+#define ROWS ((size_t)LENGTH(NP + ND + NZ + 2 * NX + (2 * RADAU + 1) * N + NV + 4 * NU))
+
+/* Behind them: what has the same length for any number of directions. */
+static size_t fixed_bytes(void) {
+    const size_t doubles = LENGTH(model.n_switches) + (size_t)BLOCK * model.J.filled + 2 * BLOCK * N + 2;
+    return doubles * sizeof(double) + LENGTH(NP + ND + NZ) * sizeof(Span) + LENGTH(model.n_slopes + model.n_elements) * sizeof(int) +
+           2 * (size_t)NU;
+}
+
+static void lend_fixed(struct Sensitivity *q) {
+    q->switches = q->moves + ROWS * q->n;
+    q->factors = q->switches + LENGTH(model.n_switches);
+    q->work = q->factors + BLOCK * model.J.filled + 1;
+    q->moved = (Span *)(void *)(q->work + 2 * BLOCK * N + 1);
+    q->active = (int *)(void *)(q->moved + LENGTH(NP + ND + NZ));
+    q->drive.driven = (unsigned char *)(q->active + LENGTH(model.n_slopes + model.n_elements));
+    q->next.driven = q->drive.driven + NU;
+}
 
 static size_t slices(const struct Sensitivity *q) { return q->n / SLICE + 1; }
 
 /* Bytes of a copy: the structure, and what it points to that changes in a simulation. */
 size_t sensitivities_size(const Instance *me) {
     const struct Sensitivity *q = me->sensitivity;
-    return q ? sizeof *q + q->n * (sizeof *q->along + ROWS * sizeof(double)) + slices(q) + past_moves_size(q) : 0;
+    return q ? sizeof *q + q->n * (sizeof *q->along + (DIRECTION_NUMBERS + ROWS) * sizeof(double)) + fixed_bytes() + slices(q) + past_moves_size(q) : 0;
 }
 
 void copy_sensitivities(const Instance *me, char *to) {
     const struct Sensitivity *q = me->sensitivity;
     memcpy(to, q, sizeof *q);
     memcpy(to += sizeof *q, q->along, q->n * sizeof *q->along);
-    memcpy(to += q->n * sizeof *q->along, q->moves, ROWS * q->n * sizeof(double));
-    memcpy(to += ROWS * q->n * sizeof(double), q->live, slices(q));
+    memcpy(to += q->n * sizeof *q->along, q->numbers, DIRECTION_NUMBERS * q->n * sizeof(double));
+    memcpy(to += DIRECTION_NUMBERS * q->n * sizeof(double), q->moves, ROWS * q->n * sizeof(double) + fixed_bytes());
+    memcpy(to += ROWS * q->n * sizeof(double) + fixed_bytes(), q->live, slices(q));
     copy_past_moves(q, to + slices(q));
 }
 
@@ -54,24 +71,19 @@ int restore_sensitivities(Instance *me, const char *from) {
     struct Sensitivity then;
     memcpy(&then, from, sizeof then);
     if (then.moves != q->moves || then.n != q->n) return 1;
-#if MODEL_NDELAY > 0
     then.past.rows = q->past.rows;
     then.past.start = q->past.start;
     then.past.time = q->past.time;
     then.past.event = q->past.event;
     then.past.room = q->past.room;
     then.past.first = 0;
-#endif
     *q = then;
     q->other = other;
     memcpy(q->along, from += sizeof *q, q->n * sizeof *q->along);
-    memcpy(q->moves, from += q->n * sizeof *q->along, ROWS * q->n * sizeof(double));
-    memcpy(q->live, from += ROWS * q->n * sizeof(double), slices(q));
-#if MODEL_NDELAY > 0
+    memcpy(q->numbers, from += q->n * sizeof *q->along, DIRECTION_NUMBERS * q->n * sizeof(double));
+    memcpy(q->moves, from += DIRECTION_NUMBERS * q->n * sizeof(double), ROWS * q->n * sizeof(double) + fixed_bytes());
+    memcpy(q->live, from += ROWS * q->n * sizeof(double) + fixed_bytes(), slices(q));
     return restore_past_moves(q, from + slices(q));
-#else
-    return 0;
-#endif
 }
 
 /* Which derivatives by what the directions move are computed for each direction apart, and which for all together. */
@@ -79,14 +91,14 @@ static void choose_slopes(struct Sensitivity *q) {
     size_t elements = 0, others = 0;
     for (size_t j = 0; j < q->n; j++) {
         q->apart[j] = 0;
-        for (int k = MODEL_NSLOPE; k < MODEL_NSLOPE + MODEL_NELEMENT; k++)
-            q->apart[j] |= q->moves[MODEL_SLOPE_COLUMN[k] * q->n + j] != 0.0;
+        for (int k = model.n_slopes; k < model.n_slopes + model.n_elements; k++)
+            q->apart[j] |= q->moves[model.slope_column[k] * q->n + j] != 0.0;
         elements += q->apart[j];
     }
-    q->elements = elements > MODEL_FEW_ELEMENT;
+    q->elements = elements > (size_t)model.few_elements;
     if (q->elements) memset(q->apart, 0, q->n);
     for (size_t j = 0; j < q->n; j++) others += !q->apart[j];
-    q->shared = others > MODEL_FEW_SLOPE;
+    q->shared = others > (size_t)model.few_slopes;
     if (!q->shared) memset(q->apart, 1, q->n);
 }
 
@@ -109,8 +121,8 @@ static void go_on_along(struct Sensitivity *q) {
         for (int k = 0; k < NZ; k++) set_move(q, NP + ND + k, j, s->z[k]);
     }
     q->n_active = 0;
-    for (int k = 0; k < MODEL_NSLOPE + q->elements * MODEL_NELEMENT; k++)
-        if (q->moved[MODEL_SLOPE_COLUMN[k]].end > 0) q->active[q->n_active++] = k;
+    for (int k = 0; k < model.n_slopes + q->elements * model.n_elements; k++)
+        if (q->moved[model.slope_column[k]].end > 0) q->active[q->n_active++] = k;
     q->pieces = q->switches_known = 0;
 }
 
@@ -122,12 +134,12 @@ static int initial_values_along(Instance *me, const double *start, Direction *s)
     for (int round = 0; round < MOST; round++) {
         memcpy(before, s->z, sizeof before);
         if (initial_states_along(me, start, s)) return 1;
-        if (!MODEL_HAS_EVENTS) return 0;
+        if (!model.has_events) return 0;
         if (event_update_along(me, s, 1, 1, 0)) return 1;
         int settled = 1;
         for (int k = 0; k < NZ; k++) settled &= fabs(s->z[k] - before[k]) <= 1e-12 * fabs(s->z[k]);
         if (settled) {
-            memcpy(s->pz, s->z, sizeof s->z);
+            memcpy(s->pz, s->z, BYTES(NZ));
             return 0;
         }
     }
@@ -138,19 +150,19 @@ static int initial_values_along(Instance *me, const double *start, Direction *s)
 Status start_sensitivities(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     if (!q || q->n == 0) return STATUS_OK;
-    memset(q->moved, 0, sizeof q->moved);
+    memset(q->moved, 0, LENGTH(NP + ND + NZ) * sizeof *q->moved);
     for (size_t j = 0; j < q->n; j++) {
-        Direction *s = &q->along[j], unit;
-        double start[LENGTH(NX)] = {0}, unit_start[LENGTH(NX)];
-        memset(s, 0, sizeof *s);
+        Direction *s = &q->along[j];
+        DIRECTION(unit);
+        ZEROS(start, NX);
+        double unit_start[LENGTH(NX)];
+        *s = direction_in(s->x);
         for (int i = 0; i < NU; i++) s->u[i] = q->drive.seeds[i * q->n + j];
-#if MODEL_NDELAY > 0
         for (int k = 0; k < NDELAY; k++) s->u[NIN + k] = q->past.start[k * q->n + j];
-#endif
         for (size_t i = 0; i < q->n_parameters; i++) {
             const double w = q->weights[j * q->n_parameters + i];
             if (w == 0.0) continue;
-            memset(&unit, 0, sizeof unit);
+            unit = direction_in(unit_numbers);
             memset(unit_start, 0, sizeof unit_start);
             parameter_direction(q->parameters[i], &unit, unit_start);
             for (int k = 0; k < NP; k++) s->p[k] += w * unit.p[k];
@@ -163,7 +175,7 @@ Status start_sensitivities(Instance *me) {
     }
     choose_slopes(q);
     go_on_along(q);
-    return MODEL_HAS_EVENTS ? event_start_along(me, q->along, q->n) : STATUS_OK;
+    return model.has_events ? event_start_along(me, q->along, q->n) : STATUS_OK;
 }
 
 /* From here on inputs move as was last said. */
@@ -185,7 +197,7 @@ Status enter_event(Instance *me, int inside) {
     struct Sensitivity *q = me->sensitivity;
     Status status = advance_sensitivities(me, me->s.t, 1);
     if (!q || q->n == 0 || status > STATUS_WARNING) return status;
-    if (MODEL_HAS_EVENTS) {
+    if (model.has_events) {
         for (size_t j = 0; j < q->n; j++)
             for (int row = 0; row < NX; row++) q->along[j].x[row] = q->start[row * q->n + j];
         inputs_along(me, me->s.t);
@@ -194,7 +206,7 @@ Status enter_event(Instance *me, int inside) {
     }
     if (!inside) {
         if (q->replaced) replace_drive(q);
-        if (MODEL_HAS_EVENTS) inputs_along(me, me->s.t); /* a communication point does not move */
+        if (model.has_events) inputs_along(me, me->s.t); /* a communication point does not move */
     }
     move_past_jumps(me);
     return status;
@@ -209,7 +221,7 @@ Status update_sensitivities(Instance *me, int reinit) {
 /* After the event iteration. */
 Status leave_event(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
-    if (!MODEL_HAS_EVENTS || !q || q->n == 0) return STATUS_OK;
+    if (!model.has_events || !q || q->n == 0) return STATUS_OK;
     remember_event_moves(me);
     const Status status = event_end_along(me, q->along, q->n);
     go_on_along(q);
@@ -223,7 +235,7 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
     if (!(me->s.phase & (PHASE_INSTANTIATED | PHASE_INITIALIZATION)) || !me->s.is_co_simulation)
         return report(me, STATUS_ERROR, "sensitivities are chosen before a co-simulation starts");
     for (size_t i = 0; i < n_parameters; i++) {
-        Direction s;
+        DIRECTION(s);
         double start[LENGTH(NX)];
         if (!parameter_direction(parameters[i], &s, start))
             return report(me, STATUS_ERROR, "value reference %u is no parameter or start value to differentiate by",
@@ -237,24 +249,24 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->parameters = malloc(LENGTH(n_parameters) * sizeof *parameters);
         q->weights = malloc(LENGTH(n * n_parameters) * sizeof *weights);
         q->along = calloc(n, sizeof *q->along);
-        q->moves = calloc(n * ROWS, sizeof(double));
+        q->numbers = calloc(n * DIRECTION_NUMBERS, sizeof(double));
+        q->moves = calloc(1, n * ROWS * sizeof(double) + fixed_bytes());
         q->apart = malloc(n);
         q->n = n;
         q->live = calloc(slices(q), 1);
     }
-#if MODEL_NDELAY > 0
-    if (q) {
+    if (q && NDELAY > 0) {
         q->past.start = calloc((2 * NDELAY + 1) * n, sizeof(double));
         q->past.time = q->past.start + NDELAY * n;
         q->past.event = q->past.time + NDELAY * n;
         if (q->live) memset(q->live, 1, slices(q));
     }
-    if (q && !q->past.start) free_sensitivities(me), q = NULL;
-#endif
-    if (!q || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
+    if (!q || (NDELAY > 0 && !q->past.start) || !q->numbers || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }
+    for (size_t j = 0; j < n; j++) q->along[j] = direction_in(q->numbers + j * DIRECTION_NUMBERS);
+    lend_fixed(q);
     q->start = q->moves + (NP + ND + NZ) * n;
     q->stages = q->start + NX * n;
     q->now = q->stages + RADAU * N * n;
@@ -293,7 +305,7 @@ int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inp
     Drive *next = &q->next;
     memset(next->seeds, 0, NU * n * sizeof *seeds);
     memset(next->rates, 0, NU * n * sizeof *rates);
-    memset(next->driven, 0, sizeof next->driven);
+    memset(next->driven, 0, (size_t)NU);
     next->t = s->t;
     for (size_t k = 0; k < n_inputs; k++) {
         double sign;

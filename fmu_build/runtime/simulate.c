@@ -27,7 +27,6 @@ static Status refresh(Instance *me, Vector vector) {
 
 static const double *vector_of(const Instance *me, Vector vector) {
     const State *s = &me->s;
-    static const double constants[] = MODEL_CONSTANTS;
     switch (vector) {
     case VECTOR_T: return &s->t;
     case VECTOR_X: return s->x;
@@ -39,7 +38,7 @@ static const double *vector_of(const Instance *me, Vector vector) {
     case VECTOR_Y: return s->y;
     case VECTOR_V: return s->v;
     case VECTOR_G: return me->g;
-    default: return constants;
+    default: return model.constants;
     }
 }
 
@@ -179,7 +178,7 @@ static void move_to(Instance *me, double t) {
     State *s = &me->s;
     for (int i = 0; i < NIN; i++) s->u[i] += s->du[i] * (t - s->t);
     s->t = t;
-    delayed_at(me, t, s->u, NULL);
+    if (NDELAY > 0) delayed_at(me, t, s->u, NULL);
 }
 
 /* The event iteration at the present point, `inside` a step or else between two; the integration starts anew. */
@@ -290,8 +289,10 @@ static double *seed_of(const Instance *me, const VariableEntry *entry, Direction
 Status get_directional_derivative(Instance *me, const unsigned *unknown, size_t n_unknown, const unsigned *known,
                                   size_t n_known, const double *seed, double *sensitivity) {
     State *now = &me->s;
-    Direction s = {.x = {0}};
-    double start[LENGTH(NX)] = {0}, follow[LENGTH(ND)] = {0}, kept[LENGTH(NM)];
+    DIRECTION(s);
+    ZEROS(start, NX);
+    ZEROS(follow, ND);
+    double kept[LENGTH(NM)];
     const Status status = refresh(me, VECTOR_D);
     if (status > STATUS_WARNING) return status;
     for (size_t k = 0; k < n_known; k++) {

@@ -33,9 +33,8 @@ static void local_path(const char *location, char *path) {
 
 /* What a new or reset instance starts with: as compiled, then as the file says. */
 Status read_starts(Instance *me, const char *location) {
-    static const double p[] = MODEL_P_START, u[] = MODEL_U_START;
-    memcpy(me->start.p, p, NP * sizeof *p);
-    memcpy(me->start.u, u, NU * sizeof *u);
+    memcpy(me->start.p, model.p_start, NP * sizeof(double));
+    memcpy(me->start.u, model.u_start, NU * sizeof(double));
     set_defaults(me);
     char *path = malloc((location ? strlen(location) : 0) + sizeof FILE_NAME);
     if (!path) return report(me, STATUS_ERROR, "no memory for the path of the resources");
@@ -58,10 +57,10 @@ Status read_starts(Instance *me, const char *location) {
     fclose(file);
     if (status <= STATUS_WARNING && found != EOF)
         status = report(me, STATUS_ERROR, "resources%s is damaged", FILE_NAME);
-    memcpy(me->start.p, me->s.p, sizeof me->start.p);
-    memcpy(me->start.u, me->s.u, sizeof me->start.u);
-    memcpy(me->start.xs, me->s.xs, sizeof me->start.xs);
-    memcpy(me->start.xs_set, me->s.xs_set, sizeof me->start.xs_set);
+    memcpy(me->start.p, me->s.p, BYTES(NP));
+    memcpy(me->start.u, me->s.u, BYTES(NU));
+    memcpy(me->start.xs, me->s.xs, BYTES(NX));
+    memcpy(me->start.xs_set, me->s.xs_set, (size_t)NX);
     set_defaults(me);
     return status;
 }

@@ -5,8 +5,6 @@
 
 #include "instance.h"
 
-static const VariableEntry VARIABLE[] = MODEL_VARIABLES;
-
 Status report(const Instance *me, Status status, const char *format, ...) {
     char message[512];
     va_list list;
@@ -19,8 +17,8 @@ Status report(const Instance *me, Status status, const char *format, ...) {
 
 /* Integers have 32 bits, but are calculated as doubles. */
 Status whole_numbers(const Instance *me) {
-    for (int i = 0; i < MODEL_N_VARIABLES; i++) {
-        const VariableEntry *entry = &VARIABLE[i];
+    for (int i = 0; i < model.n_variables && model.has_integers; i++) {
+        const VariableEntry *entry = &model.variables[i];
         if (entry->type != TYPE_INTEGER || (entry->vector != VECTOR_Z && entry->vector != VECTOR_D)) continue;
         const double value = (entry->vector == VECTOR_Z ? me->s.z : me->s.d)[entry->index];
         if (!(fabs(value) <= 2147483648.0))
@@ -32,16 +30,16 @@ Status whole_numbers(const Instance *me) {
 static const char *const TYPE_NAME[] = {"Real", "Integer", "Boolean"};
 
 const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type) {
-    if (reference >= MODEL_N_VARIABLES) {
+    if (reference >= (unsigned)model.n_variables) {
         report(me, STATUS_ERROR, "no variable has the value reference %u", reference);
         return NULL;
     }
-    if (VARIABLE[reference].type != type) {
-        report(me, STATUS_ERROR, "%s is of type %s, not %s", VARIABLE[reference].name,
-               TYPE_NAME[VARIABLE[reference].type], TYPE_NAME[type]);
+    if (model.variables[reference].type != type) {
+        report(me, STATUS_ERROR, "%s is of type %s, not %s", model.variables[reference].name,
+               TYPE_NAME[model.variables[reference].type], TYPE_NAME[type]);
         return NULL;
     }
-    return &VARIABLE[reference];
+    return &model.variables[reference];
 }
 
 /* A real variable that has a derivative; NULL with a message. */
@@ -54,8 +52,8 @@ const VariableEntry *differentiable(const Instance *me, unsigned reference) {
 
 /* The unit direction of a real parameter (into s->p) or start value (into start); 0: the variable is neither. */
 int parameter_direction(unsigned reference, Direction *s, double *start) {
-    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL) return 0;
-    const VariableEntry *entry = &VARIABLE[reference];
+    if (reference >= (unsigned)model.n_variables || model.variables[reference].type != TYPE_REAL) return 0;
+    const VariableEntry *entry = &model.variables[reference];
     const int is_parameter = entry->settable == SETTABLE_FIXED || entry->settable == SETTABLE_TUNABLE;
     if (!is_parameter && entry->settable != SETTABLE_START) return 0;
     (is_parameter ? s->p : start)[entry->index] = entry->sign;
@@ -64,9 +62,9 @@ int parameter_direction(unsigned reference, Direction *s, double *start) {
 
 /* Where a real input is in u, -1: it is none; its value is that times `sign`. */
 int input_place(unsigned reference, double *sign) {
-    if (reference >= MODEL_N_VARIABLES || VARIABLE[reference].type != TYPE_REAL ||
-        VARIABLE[reference].settable != SETTABLE_INPUT)
+    if (reference >= (unsigned)model.n_variables || model.variables[reference].type != TYPE_REAL ||
+        model.variables[reference].settable != SETTABLE_INPUT)
         return -1;
-    *sign = VARIABLE[reference].sign;
-    return VARIABLE[reference].index;
+    *sign = model.variables[reference].sign;
+    return model.variables[reference].index;
 }

@@ -7,7 +7,9 @@
 #include <string.h>
 
 #include "fmi2Functions.h"
+#include "model.h"
 #include "instance.h"
+#include "model_config.h"
 #include "sensitivity.h"
 
 enum { STEPS = 60 };

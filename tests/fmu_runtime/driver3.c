@@ -5,7 +5,9 @@
 #include <string.h>
 
 #include "fmi3Functions.h"
+#include "model.h"
 #include "instance.h"
+#include "model_config.h"
 
 enum { STEPS = 60 };
 static const VariableEntry VARIABLE[] = MODEL_VARIABLES;

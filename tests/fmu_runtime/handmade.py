@@ -143,6 +143,8 @@ def compile_by_hand(
         "update": ([*env, init], updated),
         "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
         "messages": (env, [vec([])]),
+        "delayed": (env, [vec([])]),
+        "delayed_partials": ([*env, *seeds(moving)], [vec([])]),
     }
     matrices = {"jacobian", "loop", "initial", "slopes"}
     made = {

@@ -20,7 +20,8 @@ DRIVER = """
 #include "linear.h"
 int run(int n, const int *const *t, int nonzeros, int filled, const double *a, double *b) {
     double value[100000], work[2000] = {0};
-    Pattern p = {n, 0, nonzeros, filled, t[0], t[1], t[2], t[3], t[4], t[5], t[6], 1e5, 0, 0};
+    Pattern p = {.n = n, .nonzeros = nonzeros, .factors = filled, .start = t[0], .row = t[1], .column = t[2], .place = t[3],
+                 .lu_start = t[4], .lu_diagonal = t[5], .lu_row = t[6], .growth = 1e5};
     Factors f = {value, 0, work, 0, 0, 0};
     for (int again = 0; again < 2; again++)
         if (factorise(n, 0, &p, a, &f)) return -1;
@@ -127,7 +128,8 @@ STRAIGHT = """
 %s
 int with_tables(int n, const int *const *t, int nonzeros, int filled, const double *a, double *lu, double *b) {
     double work[2000] = {0};
-    Pattern p = {n, 0, nonzeros, filled, t[0], t[1], t[2], t[3], t[4], t[5], t[6], %r, 0, 0};
+    Pattern p = {.n = n, .nonzeros = nonzeros, .factors = filled, .start = t[0], .row = t[1], .column = t[2], .place = t[3],
+                 .lu_start = t[4], .lu_diagonal = t[5], .lu_row = t[6], .growth = %r};
     Factors f = {lu, 0, work, 0, 0, 0};
     if (factorise(n, 0, &p, a, &f)) return -1;
     if (!f.use_other) solve(n, 0, &p, &f, b);

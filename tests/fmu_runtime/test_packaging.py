@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fmpy.build import build_platform_binary
 
+from fmu_build import packaging
 from fmu_build.errors import BuildError
 from fmu_build.packaging import package
 from fmuid.simulation.fmu import load_fmu
@@ -103,6 +104,27 @@ def test_sources_compile_with_fmpys_cmake(built, tmp_path):
     build_platform_binary(folder, tmp_path)
     assert list((folder / "binaries").rglob("*.so"))
     assert fmpy.simulate_fmu(str(folder), stop_time=0.1)["through"][-1] == 0
+
+
+def test_the_runtime_is_compiled_once(tmp_path, monkeypatch):
+    """For two models, and with the bytes that a build without any cache gives."""
+    compiled = []
+    run = packaging._run_together
+
+    def count(folder, class_name, *commands):
+        compiled.extend(c[-1] for c in commands if "-c" in c)
+        run(folder, class_name, *commands)
+
+    monkeypatch.setattr(packaging, "_run_together", count)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    package(handmade.pendulum(), tmp_path)
+    assert any(source.startswith("sensitivity") for source in compiled)
+    compiled.clear()
+    built = package(handmade.relay(), tmp_path)
+    assert {source.partition("_")[0] for source in compiled} == {"model", "switches", "equations"}
+    (tmp_path / "no_folder").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "no_folder"))
+    assert package(handmade.relay(), tmp_path / "again").read_bytes() == built.read_bytes()
 
 
 def test_compiler_failure_is_one_line(tmp_path, monkeypatch):
