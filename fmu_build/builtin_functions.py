@@ -138,8 +138,10 @@ def cat(e: Operators, dimension: Value, *parts: Value) -> Value:
 
 
 def _semi_linear(e: Operators, x: Value, positive: Value, negative: Value) -> Value:
-    a, p, n = algebra.scalars(x)[0], algebra.scalars(positive)[0], algebra.scalars(negative)[0]
-    return algebra.choose(algebra.LESS_EQUAL(0, a), p * a, n * a)
+    def scalar(a: Scalar, p: Scalar, n: Scalar) -> Scalar:
+        return algebra.choose(algebra.LESS_EQUAL(0, a), p * a, n * a)
+
+    return algebra.elementwise(scalar, x, positive, negative)
 
 
 def _string(e: Operators, value: Value, *rest: Value) -> Value:
@@ -220,11 +222,16 @@ STEPS = frozenset(("floor", "integer", "ceil", "div", "mod", "rem"))
 SUPPORTED = frozenset(
     (*BUILTIN, *STEPS, *algebra.FUNCTIONS, "noEvent", "smooth", "homotopy", "size", "pre", "edge", "change")
 ) | {"array"}
-UNSUPPORTED = frozenset(
-    ("spatialDistribution", "inStream", "actualStream", "rooted", "previous",
-     "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval", "firstTick", "Clock",
-     "loadResource", "transition", "initialState", "activeState", "ticksInState", "timeInState")
+CLOCKED = frozenset(
+    ("Clock", "previous", "hold", "backSample", "subSample", "superSample", "shiftSample", "noClock", "interval",
+     "firstTick")
 )  # fmt: skip
+UNSUPPORTED = CLOCKED | frozenset(
+    ("spatialDistribution", "inStream", "actualStream", "rooted", "loadResource", "transition", "initialState",
+     "activeState", "ticksInState", "timeInState")
+)  # fmt: skip
+CLOCKS = "clocks are not supported"
+NO_CLOCKS = "use sample() in a when-equation"
 # Names of the arguments of built-in functions that may be called with named arguments.
 NAMED: dict[str, list[str]] = {
     "homotopy": ["actual", "simplified"],

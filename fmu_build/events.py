@@ -60,13 +60,14 @@ def collect(system: System, equations: Equations, explicit: Explicit) -> Events:
     clauses = _Clauses(system, equations)
     for chain in equations.whens:
         values |= clauses.chain(chain, values)
+    starts = _with_equals(scope, values, explicit.starts)
     if explicit.previous:
         at_start = Substitution(explicit.previous)
         values = {k: at_start(value) for k, value in values.items()}
     for k, value in explicit.values.items():
         if k in values:
             values[k] = if_else(scope.init, value, values[k])
-    discrete = _entries(scope, values, explicit.starts)
+    discrete = _entries(scope, values, starts)
     ordered = _in_order(scope, discrete, system.rewrite)
     after = Substitution({key(d.symbol): d.value for d in ordered})
     next_event = SX(float("inf"))
@@ -171,6 +172,18 @@ def _definitions(scope: ModelScope, equations: list[Equation]) -> dict[int, SX]:
         if c in row_of:
             left, right = equations[row_of[c]].sides or (SX(0.0), SX(0.0))
             out[k] = right if key(left) == k else left
+    return out
+
+
+def _with_equals(scope: ModelScope, values: Mapping[int, SX], starts: Mapping[int, SX]) -> dict[int, SX]:
+    """Give what a variable equals, or the pre-value that it equals, also the start value of this variable."""
+    out = dict(starts)
+    for k, start in starts.items():
+        value = values.get(k)
+        while value is not None and value.is_symbolic() and key(scope.current_of(value)) not in out:
+            other = key(scope.current_of(value))
+            out[other] = start
+            value = values.get(other)
     return out
 
 

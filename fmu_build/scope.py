@@ -334,6 +334,10 @@ class ModelScope:
         declared = self.declarations.by_symbol.get(k)
         return declared is not None and declared.kind == "parameter"
 
+    def is_previous(self, k: int) -> bool:
+        """Whether the symbol of this key is a pre-value."""
+        return k in self._current
+
     def current_of(self, symbol: SX) -> SX:
         """Return the variable of a pre-value symbol; other symbols as they are."""
         return self._current.get(key(symbol), symbol)

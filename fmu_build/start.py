@@ -248,7 +248,7 @@ class Explicit:
     starts
         ``pre(v)`` of discrete variables (from parameters).
     previous
-        ``pre(v)`` at initialisation where it depends on time.
+        ``pre(v)`` at initialisation where it depends on time or on other pre-values.
     values
         Discrete variables at initialisation.
     parameters
@@ -309,7 +309,7 @@ def _use(scope: ModelScope, out: Explicit, given: _Given, equation: Equation) ->
             out.starts.setdefault(key(symbol), other)
     elif known:
         out.starts[key(symbol)] = other
-    elif all(scope.is_parameter(k) or k == key(scope.time) for k in symbols):
+    elif all(scope.is_parameter(k) or k == key(scope.time) or scope.is_previous(k) for k in symbols):
         out.previous[key(one)] = if_else(scope.init, other, one)
     else:
         raise scope.flat.error(

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
+from fmu_build.builtin_functions import CLOCKS, NO_CLOCKS
 from fmu_build.errors import ModelicaError
 from fmu_build.front.classes import (
     Argument,
@@ -691,7 +692,7 @@ class World:
         """
         target = self.lookup_class(scope, name, extends)
         if target is None and name.name == "Clock":
-            raise ModelicaError("clocks are not supported", where=name.at, fix="use sample() in a when-equation")
+            raise ModelicaError(CLOCKS, where=name.at, fix=NO_CLOCKS)
         if target is None:
             where = scope.definition.path if scope is not None else ""
             raise ModelicaError(

@@ -13,7 +13,7 @@ from typing import Any
 
 from fmu_build import algebra
 from fmu_build.algebra import Array, UnknownSizeError, Value
-from fmu_build.builtin_functions import NAMED, SUPPORTED, UNSUPPORTED
+from fmu_build.builtin_functions import CLOCKED, CLOCKS, NAMED, NO_CLOCKS, SUPPORTED, UNSUPPORTED
 from fmu_build.errors import ModelicaError, counted
 from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import Formal, Function
@@ -955,6 +955,8 @@ class Resolver:
         """Truth of ``Connections.isRoot(R)`` or ``Connections.rooted(R)``; nothing similar is supported."""
         if e.function in ("inStream", "actualStream"):
             return self._stream(e, self.expr(e.arguments[0], scope, env))
+        if e.function in CLOCKED:
+            raise ModelicaError(CLOCKS, where=e.at, fix=NO_CLOCKS)
         if e.function not in ("Connections.isRoot", "Connections.rooted", "rooted"):
             raise ModelicaError(f"'{e.function}' is not supported", where=e.at)
         node = self.expr(e.arguments[0], scope, env) if len(e.arguments) == 1 else None

@@ -22,6 +22,15 @@ void set_defaults(Instance *me) {
     memcpy(s->xs_set, me->start.xs_set, (size_t)NX);
 }
 
+/* Where the equations are not defined or singular for states of zero, as for a tank without mass: the nominal values of
+ * those as a guess; 0: there are none. */
+static int leave_zero(State *s) {
+    int moved = 0;
+    for (int i = 0; i < NX; i++)
+        if (s->x[i] == 0.0) s->x[i] = model.x_scale[i] > 0.0 ? model.x_scale[i] : 1.0, moved = 1;
+    return moved;
+}
+
 /* Newton for the implicit initial equations: unknowns [x; y], started at [xs; y]. */
 static int solve_initial(Instance *me) {
     const int N = NX + NY;
@@ -38,7 +47,11 @@ static int solve_initial(Instance *me) {
         for (int i = 0; i < N; i++) norm += r[i] * r[i];
         if (norm == 0.0) return 0;
         if (!isfinite(norm) || (norm > 4.0 * last && iteration > 0) || FACTORISE(I, me->initial, &me->lu_start)) {
-            if (iteration == 0) return 1;
+            if (iteration == 0) {
+                if (!leave_zero(s)) return 1;
+                iteration = -1;
+                continue;
+            }
             /* too far, or where the equations are singular: go half the way back */
             int moved = 0;
             for (int i = 0; i < N; i++) {

@@ -269,3 +269,44 @@ def test_a_boolean_variable_may_be_a_sample(tmp_path):
                     "equation when b then y = pre(y) + 1; end when; end M;")  # fmt: skip
     result = fmpy.simulate_fmu(str(build(file, "M", tmp_path)), stop_time=1, output_interval=0.05, output=["y"])
     np.testing.assert_array_equal(result["y"][[0, 1, 3, 5, 7, -1]], [0, 0, 1, 1, 2, 5])
+
+
+def run_model(tmp_path: Path, body: str, outputs: list[str], stop: float = 1.0) -> np.ndarray:
+    """Last values of a model's variables."""
+    (tmp_path / "M.mo").write_text(f"model M {body} end M;")
+    fmu = build(tmp_path / "M.mo", "M", tmp_path)
+    result = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=stop / 10, output=outputs)
+    return np.array(result[outputs].tolist())
+
+
+def test_initial_equations_between_pre_values(tmp_path):
+    """As the steps of a state graph have them: what is given for `active` goes on to what it is defined by."""
+    body = """
+      model Step output Boolean active; Boolean local; Boolean new; Boolean old; input Boolean leave;
+      initial equation pre(new) = pre(local); pre(old) = pre(local);
+      equation active = local; local = pre(new); new = local and not leave; when leave then old = local; end when; end Step;
+      model First extends Step; initial equation active = true; end First;
+      First first(leave = time > 0.55); Step other(leave = false); Real a = if first.active then 1 else 0;
+      Real b = if other.active then 1 else 0;"""
+    a, b = run_model(tmp_path, body, ["a", "b"]).T
+    assert a.tolist() == [1.0] * 6 + [0.0] * 5
+    assert not b.any()
+
+
+def test_start_values_of_variables_that_are_no_states(tmp_path):
+    """A tank: the states are mass and energy, and at zero mass its equations are not defined."""
+    body = """
+      Real U; Real m; Real level(start = 2, fixed = true); Real h(start = 3, fixed = true);
+      equation m = 4*level; h = U/m; der(m) = -1; der(U) = -h;"""
+    m, energy = run_model(tmp_path, body, ["m", "U"])[-1]
+    assert m == pytest.approx(7.0)
+    assert energy == pytest.approx(21.0)
+
+
+@pytest.mark.parametrize("n", [0, 2])
+def test_semi_linear_of_arrays(tmp_path, n):
+    body = f"""
+      parameter Integer n = {n}; Real a[n] = semiLinear(0.5 - time, fill(2.0, n), fill(3.0, n)); Real y = sum(a);"""
+    y = run_model(tmp_path, body, ["y"])
+    assert y[0, 0] == pytest.approx(n)
+    assert y[-1, 0] == pytest.approx(-1.5 * n)

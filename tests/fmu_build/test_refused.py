@@ -42,6 +42,7 @@ REFUSED = {
     "Real x = sin(1, 2) + atan3(1);": "there is no function 'atan3'",
     "Real x = cardinality(1);": "cardinality() is not allowed here",
     "Clock c = Clock(0.1);": "clocks are not supported; use sample() in a when-equation",
+    "Real x = sample(time, Clock(0.1));": "clocks are not supported; use sample() in a when-equation",
     "Real x[2, 3]; Real y[2, 3] = x^2;": "^ on an array of size [2, 3], which is no square matrix",
     "Real x[3] = cat(2, {1, 2}, {3});": "cat(2, ...) of an array of size [2] and an array of size [1]",
     "partial model Q end Q; Q q;": "partial class 'P.M.Q'",
