@@ -163,6 +163,18 @@ def matrix_product(a: Array, b: Array) -> Value:
     return Array(shape, tuple(items)) if shape else items[0]
 
 
+def solve(a: Array, b: Array) -> Array:
+    """Solution x of the linear equations a x = b, one or several right-hand sides."""
+    matrix = SX.zeros(*a.shape)
+    given = SX.zeros(b.shape[0], math.prod(b.shape[1:]))
+    for k, item in enumerate(a.items):
+        matrix[divmod(k, a.shape[1])] = item
+    for k, item in enumerate(b.items):
+        given[divmod(k, given.shape[1])] = item
+    x = ca.solve(matrix, given)
+    return Array(b.shape, tuple(fold(x[i, j]) for i in range(given.shape[0]) for j in range(given.shape[1])))
+
+
 def matrix_power(a: Array, exponent: Value) -> Value:
     """Modelica's ``^`` of a square matrix and a whole number."""
     if len(a.shape) != 2 or a.shape[0] != a.shape[1]:

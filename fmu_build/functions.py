@@ -29,9 +29,11 @@ from fmu_build.syntax import (
     Assign,
     AssignMany,
     Break,
+    Call,
     Expression,
     ForStatement,
     IfStatement,
+    Literal,
     Part,
     Place,
     Reference,
@@ -44,6 +46,10 @@ from fmu_build.syntax import (
 )
 
 _EXTERNAL = tables.EXTERNAL | random_numbers.EXTERNAL
+# The same where outputs have values before: places of the arguments that count. Results are those of the function.
+_IN_PLACE: dict[str, tuple[tuple[int, ...], Callable[..., Value]]] = {
+    "dgesv": ((2, 5), lambda a, b: (algebra.solve(a, b), 0)),  # LAPACK
+}
 _MAX_ROUNDS = 100_000  # of a while loop with a condition known at translation
 _MAX_UNKNOWN_ROUNDS = 100  # of one whose condition is unknown
 _MOST_UNKNOWN_ROUNDS = 3000  # of all of them, because nested loops multiply
@@ -181,9 +187,8 @@ class Functions:
                 else:
                     raise ValueError(f"function '{function.name}' lacks its argument '{formal.name}'")
             if function.external is not None:
-                return self._external(function, evaluator)
-            for formal in (*function.outputs, *function.locals):
-                frame.variables[formal.name] = self._initial(formal, evaluator)
+                return self._external(function, frame, evaluator)
+            self._begin(function, frame, evaluator)
             if function.constructor:
                 return dict(frame.variables)
             body = Body(self._library, frame, evaluator, self)
@@ -199,11 +204,18 @@ class Functions:
             if formal.default is not None and not any(references(formal.default)):
                 frame.variables[formal.name] = evaluator(formal.default)
 
-    @staticmethod
-    def _external(function: Function, evaluator: Evaluator) -> Value:
+    def _begin(self, function: Function, frame: _Frame, evaluator: Evaluator) -> None:
+        for formal in (*function.outputs, *function.locals):
+            frame.variables[formal.name] = self._initial(formal, evaluator)
+
+    def _external(self, function: Function, frame: _Frame, evaluator: Evaluator) -> Value:
         """Call the substitute of a C function; arguments of it that are outputs take its results in order."""
         assert function.external is not None
         name, arguments, _ = function.external
+        if name in _IN_PLACE:
+            self._begin(function, frame, evaluator)
+            places, substitute = _IN_PLACE[name]
+            return substitute(*(evaluator(arguments[k]) for k in places))
         if name not in _EXTERNAL:
             raise ValueError(f"external function '{function.name}' is not supported")
         outputs = [o.name for o in function.outputs]
@@ -322,6 +334,10 @@ class Body:
                 self._branch(rest)
             return
         before = dict(self._frame.variables)
+        error = self._error_of(statements)
+        if error is not None:  # what the branch prepares is only for the message
+            self._never(condition, message(self._evaluate, error), statements[-1].at)
+            statements = ()
         with self._evaluate.guard(condition):
             self.run(statements)
         then = self._frame.variables
@@ -396,7 +412,7 @@ class Body:
         except IndexOutsideError as error:
             if not ends:
                 raise
-            self._never(algebra.sx(True), f"a while loop goes on where {error.what}", statement.at)
+            self._never(algebra.sx(True), (f"a while loop goes on where {error.what}",), statement.at)
             return False
 
     def _narrow(self, statement: WhileStatement, counters: Collection[str]) -> bool:
@@ -441,14 +457,26 @@ class Body:
                 "while loops of unknown length inside each other", at,
                 "bound them by counters, or write for loops with an if inside",
             )  # fmt: skip
-        self._never(goes_on, f"a while loop goes on for more than {_MAX_UNKNOWN_ROUNDS} rounds", at)
+        self._never(goes_on, (f"a while loop goes on for more than {_MAX_UNKNOWN_ROUNDS} rounds",), at)
 
-    def _never(self, condition: SX, what: str, at: Place) -> None:
+    def _error_of(self, statements: Sequence[Statement]) -> Expression | None:
+        """Message of ``assert(false, ...)`` if that ends the statements, also in a function; otherwise None."""
+        last = statements[-1] if statements else None
+        if isinstance(last, Assert):
+            never = isinstance(last.condition, Literal) and last.condition.value is False and not last.warning
+            return last.message if never else None
+        call = last.call if isinstance(last, AssignMany) and not last.targets else None
+        function = self._library.functions.get(call.function) if isinstance(call, Call) else None
+        if not isinstance(call, Call) or function is None or len(call.arguments) != 1:
+            return None
+        return call.arguments[0] if self._error_of(function.body) is not None else None
+
+    def _never(self, condition: SX, what: Message, at: Place) -> None:
         """Assert that a condition does not hold where this evaluation matters."""
         holds = ca.logic_not(condition)
         for guard in self._functions.guards:
             holds = ca.logic_or(holds, ca.logic_not(guard))
-        self._functions.asserts.append((holds, (what,), False, at))
+        self._functions.asserts.append((holds, what, False, at))
 
     def _when(self, statement: WhenStatement) -> None:
         fires = getattr(self._frame, "fires", None)

@@ -11,6 +11,7 @@ import pytest
 from fmu_build import build, compile_modelica, load
 from fmu_build.errors import ModelicaError
 from fmu_build.model import CompiledModel
+from fmuid.core.errors import SimulationError
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
 from tests.conftest import MODELICA
@@ -148,3 +149,37 @@ def test_libraries_of_modelica_tools_are_found(tmp_path, monkeypatch, places, us
     if "root" not in places[-1]:
         with pytest.raises(ModelicaError, match="'Mech'"):
             load(file, "M")
+
+
+def test_linear_systems_of_parameters_as_pumps_have_them(tmp_path):
+    """LAPACK's dgesv, as the library calls it: a pump's curve through three points."""
+    (tmp_path / "P.mo").write_text("""package P
+      function dgesv_vec input Real A[:, size(A, 1)]; input Real b[size(A, 1)]; output Real x[size(A, 1)] = b; output Integer info;
+      protected Integer n = size(A, 1); Real Awork[n, n] = A; Integer ipiv[n];
+      external "FORTRAN 77" dgesv(n, 1, Awork, n, ipiv, x, n, info); end dgesv_vec;
+      function curve input Real V; input Real Vs[3]; input Real h[3]; output Real y; protected Real c[3]; Integer info;
+      algorithm (c, info) := dgesv_vec({{1, v, v^2} for v in Vs}, h); assert(info == 0, "singular"); y := c*{1, V, V^2};
+      end curve;
+      model M parameter Real h[3] = {100, 60, 0}; output Real y = curve(time, {0, 0.25, 0.5}, h); end M;
+    end P;""")
+    model = compile_modelica(tmp_path / "P.mo", "P.M")
+    assert Instance.of(model).get("y", 0.1, NOTHING) == pytest.approx(100 - 12 - 1.6)
+    assert Instance.of(model, {"h[1]": 0.0, "h[2]": 1.0, "h[3]": 2.0}).get("y", 0.1, NOTHING) == pytest.approx(0.4)
+
+
+def test_what_a_branch_prepares_for_an_error_is_not_evaluated(tmp_path):
+    """A String made of variables, as the library checks the fractions of a fluid."""
+    (tmp_path / "P.mo").write_text("""package P
+      function error input String text; algorithm assert(false, text); end error;
+      function check input Real x[:]; protected String s; algorithm
+        if abs(sum(x) - 1) > 1e-10 then
+          s := ""; for i in 1:size(x, 1) loop s := s + " " + String(x[i]); end for;
+          error("the sum is " + String(sum(x)));
+        end if; end check;
+      model M parameter Real b = 1; output Real y = time; equation check({0.25, 0.75 + (1 - b)*time}); end M;
+    end P;""")
+    fmu = Fmu(build(tmp_path / "P.mo", "P.M", tmp_path))
+    task = Task(np.linspace(0, 1, 3), {}, ("y",))
+    assert fmu.simulate(task, {})[0, -1] == 1.0
+    with pytest.raises(SimulationError, match=r"P\.mo:6: the sum is 0\.5"):
+        fmu.simulate(task, {"b": 2.0})
