@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmuid import ParameterSpec, Problem, Status, Task, identify, measured_case
+from fmuid import ParameterSpec, Problem, Status, StopRules, Task, identify, measured_case
 
 TIME = np.linspace(0.0, 2.0, 201)
 SIGMA = 0.01
@@ -60,3 +60,13 @@ def test_against_a_wall_no_search_has_converged(lag, wall, best, solver):
     assert "the estimate lies at the edge of what can be simulated" in warnings
     assert "candidates could not be simulated: step: the integrator gave up" in warnings
     assert all(e.interval is None for e in stage.estimates)
+
+
+@pytest.mark.parametrize("solver", ["bobyqa", "sbplx"])
+def test_a_search_whose_budget_ends_at_a_wall_says_so(lag, solver):
+    for wall, beside in (("straight", True), ("curved", False)):
+        problem = lag(HIDING[wall] if beside else BEYOND[wall])
+        stage = identify(problem, solver=solver, stop=StopRules(evaluations=90), with_uncertainty=False).stages[0]
+        assert stage.status is Status.BUDGET
+        assert stage.failures > 0
+        assert any("at the edge of what can be simulated" in w for w in stage.warnings) == beside

@@ -436,7 +436,7 @@ def _result(
         warnings=(
             *problem.findings,
             *_misfit(problem, first, best, outcome),
-            *_warnings(search, estimates, uncertainty),
+            *_warnings(search, outcome, estimates, uncertainty),
             *(
                 [f"conditional on values that only later stages identify: {shortened(', '.join(held))}"]
                 if held
@@ -504,7 +504,9 @@ def _machines(estimates: Sequence[Estimate], free: Sequence[ParameterSpec]) -> t
     return tuple(spreads)
 
 
-def _warnings(search: Search, estimates: Sequence[Estimate], uncertainty: Uncertainty | None) -> tuple[str, ...]:
+def _warnings(
+    search: Search, outcome: Outcome, estimates: Sequence[Estimate], uncertainty: Uncertainty | None
+) -> tuple[str, ...]:
     warnings = []
     if uncertainty is not None and not uncertainty.identifiability.complete:
         warnings.append(str(uncertainty.identifiability))
@@ -517,7 +519,8 @@ def _warnings(search: Search, estimates: Sequence[Estimate], uncertainty: Uncert
                 if abs(r) > _ALIKE and not {a, b} & set(uncertainty.identifiability.undetermined):
                     warnings.append(f"{b} and {a} are hard to distinguish (correlation {r:+.3f})")
     warnings += [f"{e.name} is at its {e.at_bound} bound" for e in estimates if e.at_bound]
-    if search.at_edge:
+    unfinished = search.best if outcome.status is Status.BUDGET else None
+    if search.at_edge or (unfinished is not None and search.failure_near(unfinished.x)):
         warnings.append("the estimate lies at the edge of what can be simulated; the best fit may lie beyond it")
     if search.failures:
         reasons = [f"{shortened(why)} ({count})" for why, count in search.reasons.most_common(_REASONS)]

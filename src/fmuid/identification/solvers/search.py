@@ -21,6 +21,7 @@ from fmuid.identification.problem.evaluation import Evaluation
 
 FEASIBLE = 1e-6  # a constraint violated by less counts as satisfied
 _REMEMBERED = 64  # evaluations that a solver may request again
+_EDGE = 1e-3  # distance in search units within which a failed candidate marks an edge
 
 
 class Status(enum.StrEnum):
@@ -217,9 +218,9 @@ class Search:
         """Whether the cost is the problem's own, without additional limits."""
         return self._plain
 
-    def failure_near(self, x: FloatArray, distance: float) -> str | None:
-        """Return why a candidate within this distance of the (n,) point `x` failed; None if there is none."""
-        reach = distance * np.maximum(np.abs(x), 1.0)
+    def failure_near(self, x: FloatArray) -> str | None:
+        """Return why a candidate at the (n,) point `x` failed, or very close to it; None if there is none."""
+        reach = _EDGE * np.maximum(np.abs(x), 1.0)
         return next((e.failure for e in self._failed if bool((np.abs(e.x - x) <= reach).all())), None)
 
     @contextmanager

@@ -24,7 +24,6 @@ _SMALL = 1e-4  # the same, of a cost that is not a sum of squares, relative to i
 _RESOLVED = 1e-6  # relative error of the predictions below which a fit without noise is perfect
 _HALVINGS = 6
 _PROBING = 40  # evaluations per parameter of a direct search that checks another one
-_EDGE = 1e-3  # distance in search units within which a failed candidate marks an edge
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +208,7 @@ def _judged(search: Search, outcome: Outcome, verdict: _Verdict) -> Outcome:
         return Outcome(Status.STALLED, "on a plateau: small changes of a parameter change no prediction")
     if verdict is _Verdict.DEAD:
         return Outcome(Status.STALLED, NOTHING_MOVES)
-    beyond = search.failure_near(search.reached.x, _EDGE) if verdict is _Verdict.FALLING else None
+    beyond = search.failure_near(search.reached.x) if verdict is _Verdict.FALLING else None
     search.at_edge = beyond is not None
     if beyond is not None:
         return Outcome(Status.STALLED, f"at the edge of what can be simulated; beyond it: {in_short(beyond)}")
