@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,7 +101,19 @@ def test_elements_of_arrays_are_set(build, tmp_path):
 
 def test_a_driven_input_is_taken_from_the_derivative(with_laws):
     task = Task(TIME, {"tau": TORQUE, "der(w1).added_flow": np.full(TIME.size, 4.0)}, OUTPUTS, tolerance=1e-8)
-    np.testing.assert_allclose(Fmu(with_laws).simulate(task, {}), exact(added=4.0), atol=1e-5)
+    fmu = Fmu(with_laws)
+    for shared in (None, ("course", 50)):  # no state is kept where runs begin alike
+        np.testing.assert_allclose(fmu.simulate(replace(task, shared=shared), {}), exact(added=4.0), atol=1e-5)
+
+
+def test_a_reset_of_the_contained_fmu_that_forgets_little_is_noticed(build, tmp_path):
+    contained = build(2, ("ModelExchange",), ("RESET_FORGETS_STATE",))
+    law = StateLaw("v", "v.drag*v", {"v.drag": 0.0})
+    write_fmu_with_laws(Fmu(contained, "model exchange"), [law], [Added("v.drag", 0.0)], tmp_path / "Laws.fmu")
+    fmu, task = Fmu(tmp_path / "Laws.fmu"), Task(TIME, {}, ("x", "v"))
+    first = fmu.simulate(task, {"v.drag": 0.5})
+    np.testing.assert_array_equal(fmu.simulate(task, {"v.drag": 0.5}), first)
+    assert fmu.renewal == "instantiate"
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

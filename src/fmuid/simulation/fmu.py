@@ -344,7 +344,8 @@ class Fmu(Simulator):
             functions = dict(zip(FUNCTIONS, self._library.functions, strict=True))
             if functions["RESET"] is None:
                 self._renewal = "instantiate"
-            elif functions["SET_DIRECTIONS"] is not None:  # of `fmuid build`: it does all that instantiating does
+            elif self.saves_state and functions["SET_DIRECTIONS"] is not None:
+                # of `fmuid build`, not one with laws around another tool's: it does all that instantiating does
                 self._renewal = "reset"
         return self._library
 
@@ -473,7 +474,7 @@ class Fmu(Simulator):
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
         self.engage(prepared)
-        key = self._branches.begin(prepared, predictions)
+        key = self._branches.begin(prepared, predictions) if self.saves_state else None
         fatal = False
         finished = False
         try:
