@@ -59,7 +59,7 @@ def import_(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help='CSV, MAT, HDF5, Parquet or MF4 files, one a run; names as in "tau [N.m]" state units.'
+            help='CSV, MAT, HDF5, Parquet or MF4 files, one per run; names as in "tau [N.m]" state units.'
         ),
     ],
     setup: Annotated[str, typer.Option(help="Setup that the runs were made with.")],
