@@ -31,7 +31,7 @@ Cost = Callable[[FloatArray], tuple[float, FloatArray]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """What the model's response to an input tells about its parameters.
+    """The information that the model's response to an input has about its parameters.
 
     Attributes
     ----------

@@ -352,7 +352,7 @@ def model_of(
     simulators = {s: load(models[s]) for s in setups}
     cases = in_segments(campaign, chosen, simulators, campaign.start_values)
     known = {name for s in simulators.values() for name in s.variables}
-    # A gap is examined along what every model in use has; a variable that none has is a mistake, told later.
+    # A gap is examined along variables that every model in use has; one that none has is reported later.
     common = set.intersection(*(set(s.variables) for s in simulators.values()))
     regimes = {n: r for n, r in catalogue.regimes.items() if r.variable in common or r.variable not in known}
     ports = {n: p for n, p in catalogue.ports.items() if not p.added or p.input in known}

@@ -140,7 +140,7 @@ def new_campaign(
             f"model exchange: the solver inside {fmu.name} is off by {100 * error:.2g} % of an output's range"
         )
     seen_run(model, used[0], mapping, runner)  # a model that crashes does so under supervision
-    cut, told = restarts(model, used, mapping, runner)
+    cut, start_notes = restarts(model, used, mapping, runner)
     choice = first_choice(model, used, mapping, progress, runner, text=ModelText(source), cut=cut)
     if not choice.free:
         zero = ", ".join(v.name for v in choice.held.get(FROM_ZERO, ()))
@@ -151,7 +151,7 @@ def new_campaign(
             fix="check inputs and outputs" + (", or give these parameters plausible start values" if zero else ""),
         )
     guesses += _choice_lines(choice, any(run.inputs for run in runs.values()))
-    guesses += told
+    guesses += start_notes
     write_measurements(Measurements(runs), folder / "measurements.h5")
     write_atomically(
         target,

@@ -9,7 +9,7 @@ from pathlib import Path
 from nicegui import ui
 
 from fmuid.page.command_process import CommandProcess
-from fmuid.page.elements import button, element, enable, set_text, text, told
+from fmuid.page.elements import button, element, enable, errors_shown, set_text, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class CommandControl:
         ui.timer(0.5, self._show)
 
     def _started(self) -> None:
-        with told():
+        with errors_shown():
             self._command = self._make()
             self._process = CommandProcess(*self._command.words())
             self._process.start(resume=self._command.interrupted)

@@ -183,7 +183,7 @@ class Slider:
         self._range.element.update()
 
     def _typed(self, typed: str, moved: Callable[[float], object]) -> None:
-        with told():
+        with errors_shown():
             try:
                 value = float(typed.replace("−", "-"))
             except ValueError:
@@ -292,7 +292,7 @@ class Charts:
 
 
 @contextmanager
-def told() -> Iterator[None]:
+def errors_shown() -> Iterator[None]:
     """Show an error of the block as a notification."""
     try:
         yield

@@ -17,7 +17,7 @@ from fmuid.diagnosis_pipeline import FILE_NAME as DIAGNOSIS
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import FILE as RESULT
 from fmuid.identification.validate import predicted
-from fmuid.page.elements import Charts, Choice, Slider, button, captioned, element, set_text, text, told
+from fmuid.page.elements import Charts, Choice, Slider, button, captioned, element, errors_shown, set_text, text
 from fmuid.page.outcome import Outcome, in_log_units, of_corrected, outcome_at
 from fmuid.page.proposed_run import NextExperiment
 from fmuid.page.workspace import Workspace
@@ -60,7 +60,7 @@ class LookView:
             return
         self._built = state
         self._root.clear()
-        with told():
+        with errors_shown():
             if self._diagnosis is None:
                 self._work = self._campaign_of
             else:
@@ -132,7 +132,7 @@ class LookView:
 
     def _choose(self, run: str) -> None:
         self._run = run
-        with told():
+        with errors_shown():
             self._cases = self._work.cases([run])
             self._moved({})
 
@@ -153,7 +153,7 @@ class LookView:
         self._take(name)
 
     def _keep(self) -> None:
-        with told():
+        with errors_shown():
             self._campaign_of.start_from(self._values)
             ui.notify("campaign.toml now starts from these values; Undo is in Prepare")
 

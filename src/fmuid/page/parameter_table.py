@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from fmuid.core.errors import FmuidError
-from fmuid.page.elements import Choice, Field, Notes, element, header, set_text, text, told
+from fmuid.page.elements import Choice, Field, Notes, element, errors_shown, header, set_text, text
 from fmuid.page.placed_messages import Kind, Message
 from fmuid.page.workspace import ParameterRow, Workspace
 from fmuid.report.plots.figure_data import pretty_unit
@@ -93,7 +93,7 @@ class ParameterTable:
         self._updates.append(update)
 
     def _number(self, name: str, key: str, typed: str) -> None:
-        with told():
+        with errors_shown():
             try:
                 value = float(typed.replace("−", "-")) if typed.strip() else None
             except ValueError:

@@ -19,10 +19,10 @@ from fmuid.page.elements import (
     curve,
     element,
     enable,
+    errors_shown,
     header,
     set_text,
     text,
-    told,
 )
 from fmuid.page.parameter_table import ParameterTable
 from fmuid.page.placed_messages import Kind, Message, by_place
@@ -83,7 +83,7 @@ class PrepareView:
         self._act(lambda: self._work.edit(lambda f: f.replace(content)))
 
     def _act(self, action: Callable[[], object]) -> None:
-        with told():
+        with errors_shown():
             action()
         self._show()
 
@@ -148,7 +148,7 @@ class PrepareView:
         enable(self._redo, self._work.file.can_redo)
 
     async def _tick(self) -> None:
-        with told():
+        with errors_shown():
             self._work.follow()
         self._show()
         if self._simulated != self._work.version:

@@ -15,7 +15,7 @@ from fmuid.core.errors import FmuidError, UnitError
 from fmuid.core.units import conversion
 from fmuid.design_pipeline import FILE_NAME, INPUT
 from fmuid.page.command_control import Command, CommandControl
-from fmuid.page.elements import Charts, Choice, Field, captioned, element, header, text, told
+from fmuid.page.elements import Charts, Choice, Field, captioned, element, errors_shown, header, text
 from fmuid.page.workspace import Workspace
 from fmuid.report.figures import TIME
 from fmuid.report.plots.figure_data import Axis, Figure, LineFigure, Panel, Role, Series, pretty_unit
@@ -148,7 +148,7 @@ class NextExperiment:
         return float(convert.factor * value + (0.0 if key == "rate" else convert.offset))
 
     def _set(self, keys: tuple[str, ...], typed: str, unit: str = "") -> None:
-        with told():
+        with errors_shown():
             try:
                 value = float(typed.replace("−", "-")) if typed.strip() else None
             except ValueError:
@@ -166,7 +166,7 @@ class NextExperiment:
 
     def show(self) -> None:
         """Show the design: its facts, its input within the limits, and what the model predicts."""
-        with told():
+        with errors_shown():
             try:
                 answer = json.loads((self._folder / FILE_NAME).read_text(encoding="utf-8"))
                 inputs = [self._panel(f) for f in sorted((self._folder / "data").glob("input-*.csv"))]

@@ -29,10 +29,10 @@ from fmuid.page.elements import (
     captioned,
     element,
     enable,
+    errors_shown,
     header,
     set_text,
     text,
-    told,
 )
 from fmuid.page.outcome import in_log_units
 from fmuid.page.parameter_table import ParameterTable
@@ -113,7 +113,7 @@ class RunView:
     # ---------------------------------------------------------------- buttons
 
     def _started(self) -> None:
-        with told():
+        with errors_shown():
             folder = self._folder
             if self._followed.run.stages and not self._running:
                 folder = _next_folder(folder)
@@ -147,7 +147,7 @@ class RunView:
             self._process.stop()
 
     def _resumed(self) -> None:
-        with told():
+        with errors_shown():
             self._launch(self._folder, resume=True)
 
     async def _stopped(self) -> None:
@@ -161,7 +161,7 @@ class RunView:
         if self._process is not None:
             self._process.stop()
             await run.io_bound(self._process.wait)
-        with told():
+        with errors_shown():
             self._followed.look()
             best = self._best_values()
             self._work.start_from(best)
@@ -190,7 +190,7 @@ class RunView:
 
     async def _tick(self) -> None:
         running = self._running  # before the journal is read: of a process that has ended, it is complete
-        with told():
+        with errors_shown():
             self._followed.look()
         self._words(running)
         self._steer()
@@ -312,7 +312,7 @@ class RunView:
         self._table.show(by_place(self._work.messages))
 
     def _act(self, action: Callable[[], object]) -> None:
-        with told():
+        with errors_shown():
             action()
 
     def _criteria(self) -> None:
