@@ -107,7 +107,7 @@ def test_a_validation_counts_the_new_runs_that_are_within_their_intervals():
     )  # other runs of the same names
     assert {score.expected for score in shown.scores} == {expected.half_width}
     assert all(score.within > 0.85 for score in shown.scores)
-    assert "4 of 4 new runs have at least 85 % of their samples within (mean 9" in str(shown)
+    assert "at least 85 % of the samples of 4 of 4 new runs (mean 9" in str(shown)
     assert "4 of 4 new runs" in shown._repr_html_()
     assert shown.to_dict()["scores"][0]["within"] == shown.scores[0].within
     identified = validate(result, old, experiments=old.identification, simulators=models)

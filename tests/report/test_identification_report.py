@@ -156,7 +156,9 @@ def test_validation_runs_are_compared_with_the_intervals_of_their_predictions(wr
     (values,) = read(written.parent / "data" / "fit-validation.csv")
     assert 0.01 < float(values["95 % interval, ±"]) < 0.04  # t-distribution, two runs with noise of 0.01
     assert 90.0 <= float(values["within, %"]) <= 100.0
-    assert "intervals: 1 of 1 new run have at least 85 % of" in " ".join(Page(written.read_text()).text.split())
+    assert "intervals contain at least 85 % of the samples of 1 of 1 new run" in " ".join(
+        Page(written.read_text()).text.split()
+    )
     fitted = read(written.parent / "data" / "fit-identification.csv")
     assert fitted
     assert all("within, %" not in row for row in fitted)

@@ -132,8 +132,8 @@ def within_intervals(scores: Sequence[RunScore]) -> list[str]:
     inside = sum(min(shares) >= _ENOUGH for shares in runs.values())
     share = float(np.mean([share for shares in runs.values() for share in shares]))
     return [
-        f"95 % prediction intervals: {inside} of {counted(len(runs), 'new run')} have at least "
-        f"{100 * _ENOUGH:.0f} % of their samples within (mean {100 * share:.3g} %)"
+        f"95 % prediction intervals contain at least {100 * _ENOUGH:.0f} % of the samples of {inside} of "
+        f"{counted(len(runs), 'new run')} (mean {100 * share:.3g} %)"
     ]
 
 
