@@ -57,6 +57,24 @@ class Connections:
             for a, b in zip(left, right, strict=True):
                 self._join(a, b, written, (a.path, b.path))
         self._signals.check()
+        self._forget_unused()
+
+    def _forget_unused(self) -> None:
+        """Leave out what only buses have: no component is connected to it."""
+        sets = self._potentials.members().values()
+        owners = {name: self._resolver.vars[name].owner for members in sets for name, _ in members}
+        used = {
+            name
+            for members in sets
+            if not all(owners[n].is_kind("expandable connector") for n, _ in members)
+            for name, _ in members
+        }
+        self.touched -= owners.keys() - used
+        self.equations = [
+            e
+            for e in self.equations
+            if not (isinstance(e.left, Reference) and e.left.name in owners and e.left.name not in used)
+        ]
 
     # ---- resolving
 

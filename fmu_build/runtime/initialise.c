@@ -31,8 +31,8 @@ static int leave_zero(State *s) {
     return moved;
 }
 
-/* Newton for the implicit initial equations: unknowns [x; y], started at [xs; y]. */
-static int solve_initial(Instance *me) {
+/* Newton for the implicit initial equations: unknowns [x; y]. */
+static int newton_from_here(Instance *me) {
     const int N = NX + NY;
     State *s = &me->s;
     double r[LENGTH(N)], old[LENGTH(N)];
@@ -76,6 +76,13 @@ static int solve_initial(Instance *me) {
         if (step <= 1e-10) return 0;
     }
     return 1;
+}
+
+/* From the last solution, of other relations, or else from the start values. */
+static int solve_initial(Instance *me) {
+    if (!newton_from_here(me)) return 0;
+    memcpy(me->s.x, me->s.xs, BYTES(NX));
+    return newton_from_here(me);
 }
 
 static Status solve_start(Instance *me) {
