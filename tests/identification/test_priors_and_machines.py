@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from fmuid import AnalysisSpec, ParameterSpec, Problem, Task, identify, measured_case
 from fmuid.core.campaign import Prior
@@ -100,6 +101,9 @@ def test_the_spread_between_machines_is_that_of_a_random_effects_model():
     w = 1 / (se**2 + between)
     assert spread.mean == pytest.approx(np.sum(w * y) / w.sum())
     assert spread.next_machine[0] < spread.mean < spread.next_machine[1]
+    two = machine_spread("effect", list("AB"), [1.0, 2.0], [0.1, 0.2], [1.0, 4.0])
+    welch = stats.t(0.05**2 / (0.1**4 / 1.0 + 0.2**4 / 4.0))
+    assert two.p_value == pytest.approx(2.0 * welch.sf(1.0 / np.sqrt(0.05)))
     same = machine_spread("effect", list("AB"), [1.0, 1.0], [0.1, 0.1])
     assert same.spread == 0.0
     assert same.p_value == pytest.approx(1.0)

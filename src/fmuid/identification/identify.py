@@ -450,7 +450,7 @@ def _result(
         spread=findings.spread,
         front=findings.front,
         posterior=findings.posterior,
-        machines=_machines(estimates, problem.space.free),
+        machines=_machines(estimates, problem.space.free, uncertainty),
         unexplained=()
         if best is None or uncertainty is None
         else unexplained(problem, best, uncertainty.whiteness),
@@ -488,10 +488,13 @@ def _misfit(
     return misfit(problem, first if first is not None and first.ok else None, best)
 
 
-def _machines(estimates: Sequence[Estimate], free: Sequence[ParameterSpec]) -> tuple[MachineSpread, ...]:
+def _machines(
+    estimates: Sequence[Estimate], free: Sequence[ParameterSpec], uncertainty: Uncertainty | None
+) -> tuple[MachineSpread, ...]:
     """Return, for each parameter with one value per machine, its spread over the machines."""
     groups: dict[str, dict[str, Estimate]] = {}
     by_name = {e.name: e for e in estimates}
+    degrees = {} if uncertainty is None else dict(zip(uncertainty.names, uncertainty.freedom, strict=True))
     for spec in free:
         name, separator, machine = spec.name.partition(SEPARATOR)
         if spec.per == "machine" and separator:
@@ -500,7 +503,9 @@ def _machines(estimates: Sequence[Estimate], free: Sequence[ParameterSpec]) -> t
     for name, of_owner in groups.items():
         errors = [e.standard_error for e in of_owner.values() if e.standard_error]
         if len(of_owner) > 1 and len(errors) == len(of_owner):
-            spreads.append(machine_spread(name, list(of_owner), [e.value for e in of_owner.values()], errors))
+            of_errors = [degrees[e.name] for e in of_owner.values()]
+            values = [e.value for e in of_owner.values()]
+            spreads.append(machine_spread(name, list(of_owner), values, errors, of_errors))
     return tuple(spreads)
 
 

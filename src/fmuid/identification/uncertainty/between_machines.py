@@ -26,7 +26,7 @@ class MachineSpread:
     mean, spread
         Mean over all machines of the kind, and standard deviation between them beyond the errors of the estimates.
     p_value
-        p-value of Cochran's test that all machines have the same value.
+        p-value that all machines have the same value: Welch's test (1951), which is Cochran's if errors are known.
     next_machine
         95 % prediction interval of the next machine's value (Higgins and others, 2009); None for two machines.
     """
@@ -55,7 +55,11 @@ class MachineSpread:
 
 
 def machine_spread(
-    name: str, machines: Sequence[str], values: Sequence[float], errors: Sequence[float]
+    name: str,
+    machines: Sequence[str],
+    values: Sequence[float],
+    errors: Sequence[float],
+    degrees: Sequence[float] | None = None,
 ) -> MachineSpread:
     """Return the summary of one parameter's estimates on several machines.
 
@@ -65,13 +69,21 @@ def machine_spread(
         The parameter.
     machines, values, errors
         (k,) names, estimates and standard errors; at least two.
+    degrees
+        (k,) degrees of freedom of the standard errors; infinite by default.
     """
-    from scipy.stats import chi2, t
+    from scipy.stats import chi2, f, t
 
     y, variance = np.array(values), np.square(errors)
     k, w = len(y), 1.0 / variance
     fixed = float(w @ y / w.sum())
     q = float(w @ (y - fixed) ** 2)
+    doubt = float(np.sum((1.0 - w / w.sum()) ** 2 / np.maximum(np.inf if degrees is None else degrees, 1.0)))
+    if doubt > 0.0:
+        ratio = q / (k - 1) / (1.0 + 2.0 * (k - 2) / (k**2 - 1) * doubt)
+        p_value = float(f.sf(ratio, k - 1, (k**2 - 1) / (3.0 * doubt)))
+    else:
+        p_value = float(chi2.sf(q, k - 1))
     between = max(0.0, (q - (k - 1)) / float(w.sum() - (w @ w) / w.sum()))
     w = 1.0 / (variance + between)
     mean, error = float(w @ y / w.sum()), float(1.0 / w.sum())
@@ -79,4 +91,4 @@ def machine_spread(
     if k > 2:
         half = float(t.ppf(0.5 + 0.5 * LEVEL, k - 2) * np.sqrt(between + error))
         interval = (mean - half, mean + half)
-    return MachineSpread(name, tuple(machines), mean, float(np.sqrt(between)), float(chi2.sf(q, k - 1)), interval)
+    return MachineSpread(name, tuple(machines), mean, float(np.sqrt(between)), p_value, interval)
