@@ -71,6 +71,17 @@ def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path)
     assert not again.diagnosis.gap.present
 
 
+def test_a_sensor_may_be_late_by_a_parameter(tmp_path):
+    folder = tmp_path / "room"
+    campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.05 * wind))
+    text = (folder / "campaign.toml").read_text()
+    assert "[stages.all]\n" in text
+    late = 'criteria = [{ signal = "T", options = { sensor = { delay = "late" } } }]'
+    text = text.replace("[stages.all]\n", f"[stages.all]\n{late}\n")
+    (folder / "campaign.toml").write_text(text + '\n[parameters.late]\nstart = 0.0\nunit = "s"\nfree = false\n')
+    assert '"varies@G(wind)"' in made_catalogue(fmuid.load_campaign(folder), load_simulator)
+
+
 def test_a_complete_model_has_no_coefficient_that_varies(tmp_path):
     text = made_catalogue(campaign(tmp_path, lambda value, wind, time: 21.0), load_simulator)
     assert "value@" in text or "effects" in text

@@ -141,6 +141,7 @@ class _Setup:
     index: Sequence[int]
     courses: Sequence[Mapping[str, FloatArray]]
     responses: Sequence[LinearResponse]
+    values: Mapping[str, float]
 
     def offers(self, variable: str) -> bool:
         """Return whether coefficients may depend on a variable; without source, only on states and inputs."""
@@ -259,16 +260,13 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
     wanted |= dict.fromkeys(c.variable for case in cases for c in case.channels)
     names = [n for n in wanted if all(n in case.simulator.variables for case in cases)]
     rows = replace(subject.model, cases=tuple(cases)).trajectories(nominal.values, names)
-    courses, responses = [], []
+    courses, responses, known = [], [], {**subject.model.fixed, **nominal.values}
     for case, row in zip(cases, rows, strict=True):
         driven = {n: np.asarray(u)[case.lead :] for n, u in case.task.inputs.items()}
         courses.append(dict(zip(names, row, strict=True)) | driven)
-        values = {
-            **case.task.start_values,
-            **subject.model.start_values(case, {**subject.model.fixed, **nominal.values}),
-        }
+        values = {**case.task.start_values, **subject.model.start_values(case, known)}
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
-    return _Setup(flat, linear, {n: by_name[n] for n in places}, places, index, courses, responses)
+    return _Setup(flat, linear, {n: by_name[n] for n in places}, places, index, courses, responses, known)
 
 
 def _without_source(fmu: Fmu) -> dict[str, Coefficient]:
@@ -440,7 +438,7 @@ def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Seque
         for k, response in zip(setup.index, setup.responses, strict=True):
             case = subject.model.cases[k]
             moved = response.to(j, next(remaining))
-            shown = np.stack([c.scaled(case.time, moved[:, i], {}) if not c.plain else moved[:, i]
+            shown = np.stack([c.scaled(case.time, moved[:, i], setup.values) if not c.plain else moved[:, i]
                               for i, c in enumerate(case.channels)], axis=1)  # fmt: skip
             whitened = observed.whiteners[k](shown).reshape(count, -1)
             if observed.nuisances:
