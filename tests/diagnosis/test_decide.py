@@ -524,6 +524,21 @@ def test_the_odds_of_slow_noise_fall_with_the_gain_on_left_out_runs():
     assert decide.by_chance(nominal, worse, 6) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(("gap", "kept"), [(0.2, ("drag",)), (0.9, ("step",))])
+def test_a_law_at_implausible_bounds_hides_no_plausible_one_that_closes_as_much(monkeypatch, gap, kept):
+    """The law at its bounds fits better, by odds that would exclude the other one."""
+    step = fitted(("step",), 0.0, residuals=[[0.0], [0.0]], cost=0.0)
+    drag = fitted(("drag",), gap, residuals=[[9.0], [9.0]], cost=1053.0)
+    monkeypatch.setattr(decide, "strained", lambda fit, _: "step" in fit.effects)
+    searched = SimpleNamespace(
+        nominal=fitted((), 3.0), best=step, candidates=[step, drag], evidence=SimpleNamespace(present=True)
+    )
+    subject = SimpleNamespace(observed=RECORDED, effects=())
+    surviving, plausible = diagnose._surviving(subject, searched, None)
+    assert [s.effects for s in surviving] == [kept]
+    assert plausible is (kept == ("drag",))
+
+
 @pytest.mark.parametrize(
     ("scatter", "strained", "best"),
     [

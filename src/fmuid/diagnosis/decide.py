@@ -33,6 +33,7 @@ from fmuid.identification.problem.cases import Case, Channel
 SIGNIFICANCE = 0.01  # one false alarm in a hundred
 SCORE_MARGIN = 2.0  # the largest score must exceed this many times the 99 % quantile under noise alone
 CLOSURE_THAT_NAMES = 0.5  # a named effect must close at least half of the gap on experiments left out
+MOST_CALIBRATED = 2  # effects in the simulated plants that probabilities were calibrated on
 CLOSURE_THAT_FINISHES = 1 / 3  # or this much of a weak gap, if the rest is no more than noise
 CLOSURE_OF_ITS_KIND = 2 / 3  # below it, an effect whose rest is at its own place may only resemble the cause
 GAIN_OF_A_SECOND = 0.25  # a further effect must close a quarter of the rest; a provisional one, of the gap
@@ -168,7 +169,7 @@ def survivors(best: Fitted, candidates: Sequence[Fitted], observed: Observed) ->
     """
     sets: dict[frozenset[str], Fitted] = {}
     for c in (best, *sorted(candidates, key=lambda c: c.fit.cost)):
-        if _comparable(best, c):
+        if comparable(best, c):
             sets.setdefault(frozenset(c.effects), c)
     for c in sets.values():  # `best` predicts left-out experiments best, but the data may speak against it
         best = c if log_odds(c, best, observed) >= np.log(OPEN) else best
@@ -222,7 +223,7 @@ def _at_one_place(a: Effect, b: Effect) -> bool:
     return (a.law == "value") != (b.law == "value") and _component(a) == _component(b)
 
 
-def _comparable(best: Fitted, other: Fitted) -> bool:
+def comparable(best: Fitted, other: Fitted) -> bool:
     """Return whether another model has as many effects and leaves about as much of the gap."""
     return len(other.effects) == len(best.effects) and other.gap <= ABOUT_AS_WELL * best.gap + GAP_THAT_MATTERS
 
@@ -402,7 +403,7 @@ def _of_rivals(surviving: Sequence[Fitted], rivals: Sequence[Fitted], observed: 
         return 0.0
     named = {frozenset(s.effects) for s in surviving}
     others = {
-        frozenset(r.effects): r for r in sorted(rivals, key=lambda r: -r.fit.cost) if _comparable(surviving[0], r)
+        frozenset(r.effects): r for r in sorted(rivals, key=lambda r: -r.fit.cost) if comparable(surviving[0], r)
     }
     odds = [log_odds(surviving[0], r, observed) for names, r in others.items() if names not in named]
     return float(sum(min(1.0 / OPEN, np.exp(-max(0.0, o))) for o in odds))

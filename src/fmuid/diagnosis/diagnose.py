@@ -561,6 +561,7 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
+    provisional = provisional or len(best.effects) > decide.MOST_CALIBRATED
     if part is not None:
         best = part.fitted
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
@@ -581,8 +582,8 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
 def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple[tuple[Fitted, ...], bool]:
     """Return the answers that the data leave open, and whether they are plausible.
 
-    An effect at implausible bounds does not hide a plausible one next to it. What closes nothing of a gap is no
-    answer.
+    An effect at implausible bounds, where a law may imitate another one, does not hide plausible ones that close
+    about as much, or those next to it. What closes nothing of a gap is no answer.
     """
 
     def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
@@ -601,6 +602,8 @@ def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple
         return (), False
     surviving = decide.survivors(best, candidates, subject.observed)
     kept = plausible(surviving)
+    if not kept and (as_good := plausible(c for c in candidates if decide.comparable(best, c))):
+        kept = decide.survivors(decide.best_of(as_good, subject.observed), as_good, subject.observed)
     if not kept and (
         fewer := plausible(c for c in candidates if c.effects and set(c.effects) < set(best.effects))
     ):
