@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -57,16 +57,15 @@ class Connections:
             for a, b in zip(left, right, strict=True):
                 self._join(a, b, written, (a.path, b.path))
         self._signals.check()
-        self._forget_unused()
 
-    def _forget_unused(self) -> None:
-        """Leave out what only buses have: no component is connected to it."""
+    def forget_unused(self, referenced: Set[str]) -> None:
+        """Leave out what only buses have: no component is connected to it, and no equation refers to it."""
         sets = self._potentials.members().values()
         owners = {name: self._resolver.vars[name].owner for members in sets for name, _ in members}
         used = {
             name
             for members in sets
-            if not all(owners[n].is_kind("expandable connector") for n, _ in members)
+            if any(n in referenced or not owners[n].is_kind("expandable connector") for n, _ in members)
             for name, _ in members
         }
         self.touched -= owners.keys() - used

@@ -43,6 +43,7 @@ from fmu_build.syntax import (
     TupleOf,
     Unary,
     WhenStatement,
+    references,
     walk,
 )
 
@@ -144,10 +145,11 @@ class _Flattener:
         self.order.clear()
         self.tree.clear()
         self._visit(root)  # again, because buses have grown
-        self._drop_unused(connections.touched)
         for instance in self.tree:
             for base in instance.all_bases():
                 self._sections(base)
+        connections.forget_unused(self._referenced())
+        self._drop_unused(connections.touched)
         flows = [v for v in self.order if v.flow and (v.connector or _in_connector(v.owner))]
         equations = [*self.sink.equations, *connections.equations, *connections.balances(flows)]
         equations += self.resolver.streams.equations({v.name: v.at for v in self.order})
@@ -237,6 +239,14 @@ class _Flattener:
             if var.connector is not None:
                 out[var.name] = connector(var, self.resolver)
         return out
+
+    def _referenced(self) -> set[str]:
+        """Names of the variables to which equations, algorithms and declarations refer."""
+        equations = (*self.sink.equations, *self.initial.equations)
+        sides = [side for e in equations for side in (e.left, e.right)]
+        trees = (*sides, *self.sink.whens, *self.sink.asserts, *map(self.resolver.binding, self.order))
+        bodies = [a.statements for a in (*self.algorithms, *self.initial_algorithms)]
+        return {r.name for r in references((*trees, *bodies))}
 
     def _drop_unused(self, connected: set[str]) -> None:
         """Remove unconnected variables of expandable connectors."""

@@ -274,9 +274,9 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         model Inner2 inner World world(g = 4); Body body; end Inner2;
         model Vec In u[2]; Out y; equation y = u[1] + 10*u[2]; end Vec;
         expandable connector Axis Real angle; Boolean moves; end Axis;
-        expandable connector Bus Axis axis1; Axis axis2; Real unused; end Bus;
-        model Sender Bus bus; Out y = 6; Out a = 7; equation connect(y, bus.speed); connect(a, bus.axis2.angle); end Sender;
-        model Receiver Bus bus; In u; In a; Real seen = u; equation connect(bus.speed, u); connect(bus.axis2.angle, a); end Receiver;
+        expandable connector Bus Axis axis1; Axis axis2; Real unused; Real set; end Bus;
+        model Sender Bus bus; Out y = 6; Out a = 7; equation connect(y, bus.speed); connect(a, bus.axis2.angle); bus.set = 8; end Sender;
+        model Receiver Bus bus; In u; In a; Real seen = u; Real set = bus.set; equation connect(bus.speed, u); connect(bus.axis2.angle, a); end Receiver;
         model Choice parameter Integer kind = 2; Real y; equation if kind == 1 then y = 1; elseif kind == 2 then y = 22; else y = 3; end if; end Choice;
         model M
           Src s; Ground g; Ladder l; Res open(R = 5); Option o; Option o2(extra = true); Gain g1(k = 3); Gain g2(k = 2);
@@ -290,7 +290,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         {
             "l.a.i": 10 / 6, "l.r[2].v": 10 / 3, "l.r[3].p.v": 10 / 3, "open.i": 0, "open.n.v": 10, "o.r.i": 2.5,
             "o2.a.i": 5, "o2.e.i": 2.5, "s.i": -(10 / 6 + 2.5 + 5), "g.p.i": 0, "g2.y": 30, "vec.y": 315,
-            "body.w": 18, "inner2.body.w": 8, "receiver.seen": 6, "receiver.a": 7, "ch.y": 22, "ch1.y": 1,
+            "body.w": 18, "inner2.body.w": 8, "receiver.seen": 6, "receiver.a": 7, "receiver.set": 8, "ch.y": 22, "ch1.y": 1,
         },
     ),
     # algorithms and expressions
