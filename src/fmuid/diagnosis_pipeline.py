@@ -102,6 +102,8 @@ def with_starts_of_runs(
     }
     if firm or not outcome.diagnosis.gap.present or outcome.subject.observed.nuisances or not stages:
         return None
+    if not all(channel.plain for case in outcome.subject.model.cases for channel in case.channels):
+        return None  # sensors with a model of their own follow no segment
     freed = replace(campaign, stages=stages)
     subject = subject_with(freed)
     observed = with_states(subject.observed, subject.model, outcome.nominal.fit.values)

@@ -12,7 +12,7 @@ from fmu_build import build
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.diagnosis_pipeline import with_timing_of_log
+from fmuid.diagnosis_pipeline import with_starts_of_runs, with_timing_of_log
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.runners import in_process
@@ -77,3 +77,18 @@ def test_what_the_timing_of_the_log_explains(
         assert retimed is not None
         assert retimed[0].models["bench"].timing == timing
         assert '\'bench\' was diagnosed with timing = "held-read-after" instead of "linear"' in retimed[1]
+
+
+def test_start_states_are_not_tried_through_sensors_with_a_model():
+    outcome = SimpleNamespace(
+        corrected=None,
+        diagnosis=SimpleNamespace(
+            verdict=SimpleNamespace(kind="unknown", provisional=False), gap=SimpleNamespace(present=True)
+        ),
+        subject=SimpleNamespace(
+            observed=SimpleNamespace(nuisances=()),
+            model=SimpleNamespace(cases=[SimpleNamespace(channels=[SimpleNamespace(plain=False)])]),
+        ),
+    )
+    campaign = SimpleNamespace(stages={"all": SimpleNamespace(segments=0.5, observer=None)})
+    assert with_starts_of_runs(campaign, outcome, None) is None
