@@ -82,6 +82,18 @@ def test_effects_at_signals_act_before_the_reading(path: Path) -> None:
     np.testing.assert_allclose(late, at_once, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.parametrize("how", [{"read_after": AFTER}, {"interpolation": "band-limited", "linear": ()}])
+def test_segments_read_through_sensors_with_effects(path: Path, how) -> None:
+    """Start states of segments are fitted through the sensors."""
+    values = {"F.gain": 0.5, "v.offset": 1.0, "x.delay": 0.5 * STEP}
+    task = replace(TASK, outputs=("x", "v"), **{"read_after": 0.0, **how})
+    with Fmu(path, "co-simulation") as fmu:
+        model = SignalModel(fmu, ("F.gain", "x.delay", "v.offset"))
+        whole = model.simulate(task, values)
+        segmented = Segmented(model, task, 0.8, target=whole, weight=np.ones_like(whole), at=values)
+        np.testing.assert_allclose(segmented.simulate(task, values), whole, atol=1e-3)
+
+
 def test_readings_after_the_next_inputs_and_beside_band_limited_ones_are_refused(path: Path) -> None:
     with Fmu(path, "co-simulation") as fmu:
         with pytest.raises(FmuError, match=r"read 0\.02 s after the inputs act, but the next inputs act before"):

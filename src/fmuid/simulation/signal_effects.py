@@ -246,10 +246,9 @@ def disturbed_task(
         for row, name in enumerate(outputs)
         if any(effects.get(name, {}).get(prop, 0.0) > 0.0 for prop in ("lag", "delay"))
     }
-    sampled, samples = task, task.time
+    sampled = task
     if late or not effects.keys().isdisjoint(task.inputs):
         task = refined(task, variables)
-        samples = task.time[task.first :: task.every]
     linear, driven_linear = task.interpolation == "linear", linear_drive or task.interpolation != "hold"
     courses = {
         n: disturbed_input(task.time, u, effects[n], linear=linear or n in task.linear, others=task.inputs)
@@ -260,7 +259,7 @@ def disturbed_task(
     if not any_times:
         time = sampled.time
         inputs = {n: c.on(time, average=True) for n, c in courses.items()}
-        return Disturbed(time, inputs, sampled, time, time, late)
+        return Disturbed(time, inputs, sampled, sampled.sampled(time), time, late)
     delays = {effect["delay"] for effect in late.values() if effect.get("delay", 0.0) > 0.0}
     breaks = _joined(task.time, *(c.edges for c in courses.values()), *(task.time - d for d in delays))
     if len(breaks) == len(task.time):
@@ -272,7 +271,9 @@ def disturbed_task(
     if grid is not task.time:
         plain = {n: Course(task.time, u, linear or n in task.linear) for n, u in task.inputs.items()}
         courses = plain | courses
-    return Disturbed(grid, {n: c.on(grid) for n, c in courses.items()}, task, samples, breaks, late)
+    return Disturbed(
+        grid, {n: c.on(grid) for n, c in courses.items()}, task, task.sampled(task.time), breaks, late
+    )
 
 
 def disturbed_readings(

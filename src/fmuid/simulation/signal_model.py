@@ -117,4 +117,5 @@ class SignalModel(Wrapped):
         )
         late = [name in self._differentiated for name in task.outputs]
         shown = disturbed.readings(self.simulator.simulate(disturbed.task(), plain), late)
-        return disturbed_readings(shown, task.outputs, effects, task.time, task.inputs)
+        inputs = {name: task.sampled(u) for name, u in task.inputs.items()}
+        return disturbed_readings(shown, task.outputs, effects, task.sampled(task.time), inputs)

@@ -121,6 +121,10 @@ class Task:
         object.__setattr__(self, "start_values", frozen_mapping(self.start_values))
         object.__setattr__(self, "along", tuple(frozen_mapping(d) for d in self.along))
 
+    def sampled(self, values: FloatArray) -> FloatArray:
+        """Return those of (..., points) values at the communication points that belong to the task's samples."""
+        return values if self.every == 1 else values[..., self.first :: self.every]
+
     def with_names(self, names: Mapping[str, str]) -> Task:
         """Return the task for a model that has other names for some of its variables."""
 
