@@ -118,6 +118,22 @@ def test_the_corrected_model_is_the_fitted_one(rigs, rig, law, tmp_path):
     assert differs < 0.05
 
 
+@pytest.mark.parametrize("read_after", [0.01, 0.005, 0.0])
+def test_outputs_are_read_in_the_corrected_campaign_as_in_the_diagnosis(rigs, read_after, tmp_path):
+    """The file says 0.01 s; the diagnosis found that, another time, or none."""
+    del rigs  # its cache is used
+    recorded("TwoMass", tmp_path, "", [{}, {}])
+    file = tmp_path / "campaign.toml"
+    file.write_text(file.read_text().replace("[models.rig]", "[models.rig]\nread_after = 0.01"))
+    campaign = load_campaign(tmp_path)
+    models = {"rig": replace(campaign.models["rig"], read_after=read_after)}
+    rig = Rig(with_catalogue(replace(campaign, models=models), load_simulator))
+    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected")
+    assert moved > 0.0
+    assert differs < 0.05
+    assert load_campaign(tmp_path / "corrected").models["rig"].read_after == read_after
+
+
 @pytest.mark.parametrize(
     ("rig", "id"),
     [

@@ -96,7 +96,7 @@ def test_segments_read_through_sensors_with_effects(path: Path, how) -> None:
 
 def test_readings_after_the_next_inputs_and_beside_band_limited_ones_are_refused(path: Path) -> None:
     with Fmu(path, "co-simulation") as fmu:
-        with pytest.raises(FmuError, match=r"read 0\.02 s after the inputs act, but the next inputs act before"):
+        with pytest.raises(FmuError, match=r"read 0\.02 s after the inputs act, but the next inputs act by then"):
             fmu.simulate(replace(TASK, read_after=STEP), {})
         with pytest.raises(FmuError, match="outputs are read after band-limited inputs"):
             fmu.simulate(replace(TASK, linear=(), band_limited=("F",)), {})

@@ -32,9 +32,9 @@ from fmuid.diagnosis.variants import acts_on, model_exchange, with_laws
 from fmuid.effects.effect import Effect
 from fmuid.effects.table_blocks import with_table_blocks
 from fmuid.identification.identified_models import start_values, write_models
-from fmuid.identification.problem.cases import experiments_of
+from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.segments import in_segments
-from fmuid.simulation.coupled.loading import load_model
+from fmuid.simulation.coupled.loading import load_model, load_simulator
 from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_and_property
@@ -135,12 +135,9 @@ def checked(written: Corrected, subject: Subject, fitted: Fitted, *, runner: Run
 def _difference(
     campaign: Campaign, subject: Subject, fitted: Fitted, expected: Prediction, runner: Runner
 ) -> float:
-    from fmuid.simulation.coupled.loading import load_simulator
-
     cases = subject.model.cases_at(fitted.fit.values)
     chosen = [campaign.measurements[name] for case in cases for name in case.experiments]
-    simulators = {case.setup: load_simulator(campaign.models[case.setup]) for case in cases}
-    again = {case.id: case for case in in_segments(campaign, chosen, simulators, campaign.start_values)}
+    again = {case.id: case for case in _cases_of(campaign, chosen)}
     same = []
     for case in cases:
         there = again[case.id]
@@ -155,6 +152,12 @@ def _difference(
         energy += float(np.sum(((a - b) / sigma[:, None]) ** 2))
         count += a.size
     return float(np.sqrt(energy / count))
+
+
+def _cases_of(campaign: Campaign, chosen: Sequence[Experiment]) -> tuple[Case, ...]:
+    """Return the cases of chosen runs with the models and values of a corrected campaign."""
+    simulators = {s: load_simulator(campaign.models[s]) for s in dict.fromkeys(e.setup for e in chosen)}
+    return in_segments(campaign, chosen, simulators, campaign.start_values)
 
 
 def _built_again(campaign: Campaign, written: Corrected) -> Campaign | None:
@@ -371,6 +374,7 @@ class _Document:
             if self.campaign.models[setup].timing != old:
                 table.pop("interpolation", None)
                 table["timing"] = self.campaign.models[setup].timing
+            table.pop("read_after", None)
             if self.campaign.models[setup].read_after:
                 table["read_after"] = self.campaign.models[setup].read_after
         signals = {name: dict(table) for name, table in raw.get("signals", {}).items()}
@@ -594,8 +598,6 @@ def validate_diagnosis(
     SimulationError
         A run cannot be simulated.
     """
-    from fmuid.simulation.coupled.loading import load_simulator
-
     diagnosed = with_catalogue(campaign, load_simulator, runner=runner)  # its runs give the effects their sizes
     law = law_of(answer)
     added = [*([] if law is None else [law]), *answer.get("refinements", ())]
@@ -646,12 +648,7 @@ def _of_corrected(
     corrected: Campaign, campaign: Campaign, chosen: Sequence[Experiment], runner: Runner
 ) -> list[Prediction | SimulationError]:
     """Return the prediction of the chosen runs by the models and values of a corrected campaign."""
-    from fmuid.simulation.coupled.loading import load_simulator
-
-    setups = dict.fromkeys(e.setup for e in chosen)
-    simulators = {s: load_simulator(corrected.models[s]) for s in setups}
-    there = replace(corrected, measurements=campaign.measurements)
-    cases = in_segments(there, chosen, simulators, corrected.start_values)
+    cases = _cases_of(replace(corrected, measurements=campaign.measurements), chosen)
     return CampaignModel(cases, runner, corrected.start_values).predict([{}])
 
 

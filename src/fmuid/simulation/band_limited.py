@@ -85,7 +85,7 @@ def _with_readings(task: Task) -> Task:
         raise FmuError("outputs are read after band-limited inputs", where="timing", fix="leave read_after out")
     if np.any(np.diff(grid) <= 0.0):
         raise FmuError(
-            f"outputs are read {task.read_after:g} s after the inputs act, but the next inputs act before",
+            f"outputs are read {task.read_after:g} s after the inputs act, but the next inputs act by then",
             where="read_after",
             fix='write less than the step between samples, or timing = "preceding"',
         )
