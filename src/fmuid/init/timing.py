@@ -271,7 +271,7 @@ def _read_later(held: Sequence[SeenRun], free: Sequence[Variable]) -> list[Conve
     step = min(float(np.min(np.diff(one.time))) for one in held)
     first = Convention("held", read_after=_SHARES[1] * step)
     try:
-        if max(_along(held, first, free, order=order) for order in (0, 1)) < _WORTH_TRYING:
+        if not any(_along(held, first, free, order=order) >= _WORTH_TRYING for order in (0, 1)):
             return []
         squares = {0.0: [one.left for one in held]}
 
