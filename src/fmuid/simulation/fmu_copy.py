@@ -32,7 +32,7 @@ def copy_with_starts(fmu: Fmu, values: Mapping[str, float], target: Path) -> Non
     Raises
     ------
     FmuError
-        A variable is unknown, has no start value that can be set, or takes whole numbers only.
+        A variable is unknown, has no start value that can be set, or its type does not hold the value.
     FmuidError
         The copy cannot be written.
     """
@@ -42,8 +42,7 @@ def copy_with_starts(fmu: Fmu, values: Mapping[str, float], target: Path) -> Non
         slot = fmu.slots[name]
         if slot.refusal is not None:
             raise FmuError(f"'{name}' {slot.refusal}", where=fmu.path, fix="set what it depends on")
-        if slot.whole_numbers and not float(value).is_integer():
-            raise FmuError(f"'{name}' takes whole numbers, not {value:g}", where=fmu.path, fix="round it")
+        slot.check(name, value, fmu.path)
     buffer = io.BytesIO()
     with zipfile.ZipFile(fmu.path) as source, zipfile.ZipFile(buffer, "w") as copy:
         for member in source.infolist():

@@ -78,10 +78,10 @@ class PreparedTask:
         self.starts = np.zeros(len(back) + len(fixed) + len(names))
         self.starts[: len(back)] = [slots[k].starts[slots[k].element] for k in back]
         for i, (name, value) in enumerate(fixed.items()):
-            self.starts[len(back) + i] = self._checked(name, value)
+            slots[name].check(name, value, self._where)
+            self.starts[len(back) + i] = value
         self.values = self.starts[len(back) + len(fixed) :]
-        self._whole = np.array([slots[k].whole_numbers for k in names], dtype=bool)
-        self._any_whole = bool(self._whole.any())
+        self._any_whole = any(slots[k].whole_numbers for k in names)
         for name in task.outputs:
             if self._slot(name).suffix is None:
                 raise FmuError(
@@ -124,10 +124,9 @@ class PreparedTask:
         if not self.names:
             return
         self.values[:] = list(parameters.values())
-        fine = all(map(math.isfinite, parameters.values()))
-        if not fine or (self._any_whole and np.any((self.values % 1 != 0) & self._whole)):
+        if self._any_whole or not all(map(math.isfinite, parameters.values())):
             for name, value in parameters.items():
-                self._checked(name, value)
+                self._slots[name].check(name, value, self._where)
 
     def outputs(self, n_times: int | None = None) -> FloatArray:
         """Return a new array for the predictions of all or `n_times` samples, and point the plan to it."""
@@ -150,16 +149,6 @@ class PreparedTask:
                 where=self._where,
                 fix="check them",
             )
-
-    def _check_whole(self, name: str, values: FloatArray) -> None:
-        if self._slots[name].whole_numbers and np.any(values % 1 != 0):
-            raise FmuError(f"'{name}' takes whole numbers only", where=self._where, fix="round its values")
-
-    def _checked(self, name: str, value: float) -> float:
-        if not np.isfinite(value):
-            raise FmuError(f"'{name}' cannot be set to {value}", where=self._where, fix="give a finite value")
-        self._check_whole(name, np.array(value, dtype=np.float64))
-        return float(value)
 
     def _pointer(self, array: NDArray[Any]) -> int:
         return _pointer_to(self._kept, array)
@@ -257,7 +246,7 @@ class PreparedTask:
                     fix="an input may not have missing samples",
                 )
             inputs[:, j] = values
-            self._check_whole(name, values)
+            self._slots[name].check(name, values, self._where)
         return inputs
 
     def _check_settable(self, names: Sequence[str], variables: Mapping[str, Variable]) -> None:

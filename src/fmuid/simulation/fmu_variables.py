@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from itertools import islice, product
 from pathlib import Path
 
+import numpy as np
+
 from fmuid.core.errors import FmuError
+from fmuid.core.immutable import FloatArray
 from fmuid.simulation.fmu_description import DescribedVariable, FmuDescription
 from fmuid.simulation.simulator import Variable
+from fmuid.simulation.stepper import DTYPES
 
 MAX_VARIABLES = 200_000
 
@@ -45,7 +49,8 @@ class Slot:
 
     `suffix` names the functions (``Real`` in fmi2SetReal), None if the type is not numeric. `refusal` says why the
     start value cannot be set, None if it can be set; if the start value is `exact`, the FMU begins with it.
-    `starts` are the start values of all elements.
+    `starts` are the start values of all elements. `whole_numbers` are the smallest and the largest value of a type
+    of whole numbers, None for other types.
     """
 
     reference: int
@@ -55,13 +60,25 @@ class Slot:
     size: int
     starts: tuple[float, ...]
     refusal: str | None
-    whole_numbers: bool
+    whole_numbers: tuple[int, int] | None
     exact: bool = False
 
     @property
     def has_start(self) -> bool:
         """Whether the description gives the start value."""
         return math.isfinite(self.starts[self.element])
+
+    def check(self, name: str, values: float | FloatArray, where: Path) -> None:
+        """Refuse values that the variable's type does not hold."""
+        if not np.isfinite(values).all():
+            raise FmuError(f"'{name}' cannot be set to {values}", where=where, fix="give a finite value")
+        if self.whole_numbers is None:
+            return
+        low, high = self.whole_numbers
+        if np.any(np.mod(values, 1) != 0):
+            raise FmuError(f"'{name}' takes whole numbers only", where=where, fix="round its values")
+        if np.min(values) < low or np.max(values) > high:
+            raise FmuError(f"'{name}' takes {low} to {high} only", where=where, fix="give values in this range")
 
 
 def in_words(parameters: Mapping[str, float], limit: int = 12) -> str:
@@ -84,6 +101,13 @@ def _number(text: str | None) -> float:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def _whole_numbers(type: str, storage: int) -> tuple[int, int] | None:
+    if storage < 2:
+        return None
+    held = np.iinfo(DTYPES[storage])
+    return (0, 1) if type == "Boolean" else (max(int(held.min), -(2**53)), min(int(held.max), 2**53))
 
 
 def _refusal(variable: DescribedVariable) -> str | None:
@@ -158,7 +182,7 @@ def read_variables(
                 size=size,
                 starts=tuple(starts),
                 refusal=refusal if suffix else f"is a {v.type}, not a number",
-                whole_numbers=storage > 1,
+                whole_numbers=_whole_numbers(v.type, storage),
                 exact=v.initial == "exact" or (v.name in computed and v.initial == "calculated"),
             )
     return variables, slots
