@@ -7,10 +7,9 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from fmu_build.errors import UserError
+from fmu_build.errors import UserError, counted
 from fmuid.core.errors import FmuidError
 from fmuid.core.experiments import Measurements
-from fmuid.core.formatting import counted
 from fmuid.data.measurements import write_measurements
 
 

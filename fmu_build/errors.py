@@ -6,7 +6,7 @@ from functools import partial
 
 
 def counted(number: int, noun: str) -> str:
-    """Return ``1 equation``, ``2 equations`` and so on."""
+    """Return ``1 run``, ``2 runs`` and so on."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 

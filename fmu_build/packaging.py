@@ -13,7 +13,6 @@ import platform
 import shutil
 import subprocess
 import tempfile
-import time
 import zipfile
 from collections.abc import Collection, Sequence
 from contextlib import suppress
@@ -21,6 +20,7 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
+from fmu_build.cache import remove_unused, user_cache
 from fmu_build.errors import BuildError
 from fmu_build.model import CompiledModel, Location, Variable
 from fmu_build.model_description import FmiVersion, model_description, states
@@ -66,7 +66,6 @@ _HEADERS = (
     "sensitivity.h",
     "variables.h",
 )
-_UNUSED = 90 * 86_400.0  # s: compiled runtimes that no build has used for so long are removed
 _FMI_HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -298,7 +297,7 @@ def _compiled_runtime(files: dict[str, str], compiler: tuple[str, ...], fmi: Fmi
     """Return the objects of the runtime, which is compiled once; None if there is no place to keep them."""
     names = {name for _, names in _runtime_levels(fmi) for name in names} | {*_HEADERS, *_FMI_HEADERS[fmi]}
     sources = {name: files[name] for name in names}
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").resolve() / "fmuid" / "runtime"
+    cache = user_cache().resolve() / "runtime"
     folder = cache / _key(sources, compiler)
     ready = [str(folder / f"{name}.o") for name in _names(_runtime_levels(fmi))]
     try:
@@ -316,9 +315,7 @@ def _compiled_runtime(files: dict[str, str], compiler: tuple[str, ...], fmi: Fmi
                 Path(name, file).rename(kept / file)
             with suppress(OSError):  # another process was faster
                 kept.rename(folder)
-        for other in cache.iterdir():
-            if time.time() - other.stat().st_mtime > _UNUSED:
-                shutil.rmtree(other, ignore_errors=True)
+        remove_unused(cache, "*")
     except OSError:
         return None
     return ready if folder.is_dir() else None

@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fmu_build.errors import counted
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
-from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet

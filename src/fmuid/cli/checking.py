@@ -30,8 +30,8 @@ def check(
 
     Example: fmuid check campaigns/force_feedback
     """
+    from fmu_build.errors import counted
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.core.formatting import counted
     from fmuid.identification.check import load_models
     from fmuid.identification.full_check import static_check, with_effects
 

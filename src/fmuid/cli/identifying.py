@@ -462,7 +462,7 @@ def _validated(
 def _validation(validation: Validation, printer: Printer, out: Path | None = None) -> dict[str, Any]:
     printer.say(f"\nvalidation\n{validation}")
     if out is not None:
-        from fmuid.core.formatting import counted
+        from fmu_build.errors import counted
         from fmuid.data.crosscheck_csv import Table, write_csv
 
         for case, prediction in zip(validation.cases, validation.predictions, strict=True):

@@ -126,8 +126,9 @@ def import_(
     """
     from dataclasses import replace
 
+    from fmu_build.errors import counted
     from fmuid.core.experiments import Measurements
-    from fmuid.core.formatting import counted, once_each
+    from fmuid.core.formatting import once_each
     from fmuid.data.measurements import read_measurements, write_measurements
     from fmuid.data.recordings.conversion import experiment_from_table, read_run, with_repeats
     from fmuid.data.recordings.editing import Edits
@@ -218,8 +219,8 @@ def export(
 
     Example: fmuid export measurements.h5 --out csv -e 'step_*'
     """
+    from fmu_build.errors import counted
     from fmuid.campaigns.campaign_toml import expand
-    from fmuid.core.formatting import counted
     from fmuid.data.crosscheck_csv import write_csv
     from fmuid.data.measurements import read_measurements
     from fmuid.data.recordings.conversion import table_from_experiment

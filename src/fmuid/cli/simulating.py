@@ -73,7 +73,7 @@ def simulate(
 
     Example: fmuid simulate campaigns/force_feedback -e 'step_*' --set d_S=2.66
     """
-    from fmuid.core.formatting import counted
+    from fmu_build.errors import counted
 
     printer = Printer(quiet, json)
     if master and model.suffix != ".ssp":

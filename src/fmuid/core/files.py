@@ -4,28 +4,12 @@ from __future__ import annotations
 
 import os
 import tempfile
-import time
 from contextlib import suppress
 from pathlib import Path
 
 from fmuid.core.errors import FmuidError
 
 _UNFINISHED = ".fmuid-unfinished"
-_UNUSED = 90 * 86_400.0  # s: work that goes on comes back to its models sooner
-
-
-def user_cache() -> Path:
-    """Return this user's cache folder, for results that can be recomputed."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "fmuid"
-
-
-def remove_unused(folder: Path, pattern: str) -> None:
-    """Remove those files of a cache that nobody has written or touched for a quarter."""
-    for file in folder.glob(pattern):
-        with suppress(OSError):  # another process removes it, too
-            if time.time() - file.stat().st_mtime > _UNUSED:
-                file.unlink()
 
 
 def path_from(folder: Path, file: Path) -> str:

@@ -20,11 +20,6 @@ class Fact:
     tone: str = "plain"  # plain | good | warn
 
 
-def counted(number: int, noun: str) -> str:
-    """Return ``1 run``, ``2 runs`` and so on."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def text_table(rows: Rows) -> str:
     """Return rows as lines with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fmu_build.errors import counted
 from fmuid.core.errors import MeasurementsError, UnitError
 from fmuid.core.files import write_atomically
-from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import check_unit, conversion, convertible
 from fmuid.data.table_layout import TableLayout, source_of

@@ -22,8 +22,9 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from fmu_build.cache import user_cache
 from fmuid.core.errors import SimulationError
-from fmuid.core.files import user_cache, write_atomically
+from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.data.noise.spectrum import whitener

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from fmu_build.cache import remove_unused, user_cache
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import Port, find_ports, held_parameters
 from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
-from fmuid.core.files import remove_unused, user_cache, write_atomically
+from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import SCHEMAS, read_toml, toml_document, toml_text
 from fmuid.diagnosis.candidates import refit_only

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_build import compile_flat
+from fmu_build.cache import remove_unused, user_cache
 from fmu_build.domains import MECHANICAL, Domain
 from fmu_build.errors import InputDerivativeError, ModelicaError
 from fmu_build.flat_model import ADDED, FlatModel
@@ -25,7 +26,7 @@ from fmu_build.syntax import Part, Reference
 from fmu_build.unit_strings import parse_unit
 from fmuid.core.campaign import Campaign, ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError, FmuError, SimulationError
-from fmuid.core.files import make_folder, remove_unused, user_cache
+from fmuid.core.files import make_folder
 from fmuid.core.immutable import FloatArray
 from fmuid.effects.effect import Catalogue, Effect
 from fmuid.simulation.fmu import Fmu, load_fmu

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmu_build.errors import counted
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
-from fmuid.core.formatting import counted, html_lines, html_table, text_table
+from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.plottable import Plottable

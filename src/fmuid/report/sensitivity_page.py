@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fmu_build.errors import counted
 from fmuid.core.campaign import without_owner
-from fmuid.core.formatting import Fact, counted
+from fmuid.core.formatting import Fact
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.uncertainty.sobol_morris import STRONGEST, GlobalSensitivity, OutputSensitivity
 from fmuid.report.document import Document, Section, write_document

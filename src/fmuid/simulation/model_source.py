@@ -12,11 +12,11 @@ from pathlib import Path
 
 from fmu_build import build, compile_flat, load
 from fmu_build.build import built_by, libraries_of
+from fmu_build.cache import remove_unused, user_cache
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import places
 from fmuid.core.campaign import ModelSource
-from fmuid.core.files import remove_unused, user_cache
 from fmuid.effects.effects_file import load_catalogue
 
 

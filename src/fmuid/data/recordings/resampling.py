@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from fmu_build.errors import counted
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import MeasurementsError
-from fmuid.core.formatting import counted
 from fmuid.core.immutable import FloatArray
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.recordings import Recording

@@ -9,9 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu_build.errors import counted
 from fmuid.core.campaign import ParameterSpec
 from fmuid.core.errors import ProblemError, SimulationError
-from fmuid.core.formatting import counted, text_table
+from fmuid.core.formatting import text_table
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.identification.problem.derivatives import noise_floor
 from fmuid.identification.problem.estimation_problem import Problem
