@@ -2,7 +2,7 @@
 
 run SEED      draw cases, diagnose each in a process of its own that knows nothing of its label; continues
 publish SEED  write what is committed of a seed: `benchmarks/blind/published/<seed>/`
-page          write docs/blind.md from what is published
+page          write docs/blind.md, and a page on every case of a seed, from what is published
 calibrate SEED  continue the shipped calibration with the rehearsal of a published seed
 verify        recompute the page from what is committed, and logs and labels of some cases from their seeds
 """
@@ -121,6 +121,20 @@ def calibrate(seed: int) -> None:
     file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
 
 
+def pages() -> dict[Path, str]:
+    """Return the pages about what is published, by file."""
+    from benchmarks.blind.page import CASES, case_by_case, page, read_published
+
+    details = {PUBLISHED / str(s.seed) / CASES: case_by_case(s) for s in read_published(PUBLISHED)}
+    return {PAGE: page(PUBLISHED), **details}
+
+
+def write_pages() -> None:
+    """Write the pages about what is published."""
+    for file, text in pages().items():
+        file.write_text(text, encoding="utf-8")
+
+
 def _coarse(label: Mapping[str, Any]) -> Any:
     """Return a label with numbers to three digits, of which processors may differ in the last ones."""
     return json.loads(json.dumps(label), parse_float=lambda digits: f"{float(digits):.3g}")
@@ -130,11 +144,13 @@ def verify(count: int) -> list[str]:
     """Recompute the committed page, and logs and labels of some cases; return one line for each difference."""
     import tempfile
 
-    from benchmarks.blind.page import page, read_published
+    from benchmarks.blind.page import read_published
 
-    wrong = []
-    if PAGE.read_text(encoding="utf-8") != page(PUBLISHED):
-        wrong.append(f"{PAGE} is not what the published labels and answers give")
+    wrong = [
+        f"{file} is not what the published labels and answers give"
+        for file, text in pages().items()
+        if not file.is_file() or file.read_text(encoding="utf-8") != text
+    ]
     for seed in read_published(PUBLISHED):
         if seed.told["grammar"] != VERSION:
             print(f"seed {seed.seed}: drawn by grammar {seed.told['grammar']}, at commit {seed.told['commit']}")
@@ -186,9 +202,7 @@ def main() -> int:
 
     def work() -> list[str]:
         if given.command == "page":
-            from benchmarks.blind.page import page
-
-            PAGE.write_text(page(PUBLISHED), encoding="utf-8")
+            write_pages()
             return []
         if given.command == "calibrate":
             calibrate(given.seed)

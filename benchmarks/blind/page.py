@@ -54,6 +54,9 @@ relative error of the parameters that the runs determine (mean over parameters);
 are the definitions of its abstract."""
 
 
+CASES = "cases.md"
+
+
 @dataclass(frozen=True)
 class Seed:
     """What is published of a seed."""
@@ -96,13 +99,26 @@ def page(folder: Path) -> str:
     """Return the Markdown page."""
     parts = [_INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)]
     for seed in read_published(folder):
-        for title, first, count in (("the check", REHEARSAL, CHECK), ("a rehearsal", 0, REHEARSAL)):
-            if cases := seed.cases(first, first + count):
-                parts.append(_section(f"Seed {seed.seed}: {title}", seed, cases, count))
+        parts += [_section(title, seed, cases, count) for title, cases, count in _grids(seed)]
     if len(parts) == 1:
         parts.append("No seed has been published yet.\n")
     parts.append("Next: [how good it is](quality.md).\n")
     return "\n".join(parts)
+
+
+def case_by_case(seed: Seed) -> str:
+    """Return the Markdown page of a seed with every group of cases and every case that is not right."""
+    parts = [f"# Seed {seed.seed}, case by case\n"]
+    for title, cases, _ in _grids(seed):
+        parts += [f"## {title}\n", "### By stratum, repeats, noise and rig\n", _shares(cases)]
+        parts += ["### Every case that is not right\n", _misses(seed, cases)]
+    return "\n".join(parts)
+
+
+def _grids(seed: Seed) -> list[tuple[str, list[Scored], int]]:
+    grids = (("the check", REHEARSAL, CHECK), ("a rehearsal", 0, REHEARSAL))
+    every = ((f"Seed {seed.seed}: {title}", seed.cases(n, n + count), count) for title, n, count in grids)
+    return [grid for grid in every if grid[1]]
 
 
 def _section(title: str, seed: Seed, cases: Sequence[Scored], count: int) -> str:
@@ -123,14 +139,26 @@ def _section(title: str, seed: Seed, cases: Sequence[Scored], count: int) -> str
             ["figure", "here", "cases", "LISDD"],
             [[n, number(v), str(k), f"{p:g}"] for n, v, k, p in regimes(cases)],
         ),
-        "### By stratum, repeats, noise and rig",
         "",
-        _shares(cases),
-        "### Every case that is not right",
+        "### What went wrong",
         "",
-        _misses(seed, cases),
+        f"Every case with its reason is in `benchmarks/blind/published/{seed.seed}/{CASES}`.",
+        "",
+        _kinds_of_misses(cases),
     ]
     return "\n".join(lines)
+
+
+def _kinds_of_misses(cases: Sequence[Scored]) -> str:
+    misses: dict[str, list[str]] = {}
+    for case in cases:
+        if not case.right and not case.label["twin_of"]:
+            misses.setdefault(case.miss, []).append(case.label["stratum"])
+    rows = [
+        [miss, str(len(strata)), ", ".join(f"{s} {n}" for s, n in sorted(Counter(strata).items()))]
+        for miss, strata in sorted(misses.items(), key=lambda item: -len(item[1]))
+    ]
+    return table(["what", "cases", "by stratum"], rows) + "\n"
 
 
 def number(value: float | None) -> str:

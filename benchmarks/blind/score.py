@@ -171,27 +171,38 @@ class Scored:
         return weight, self.right if self.kind != "insufficient" else self.label["stratum"] == "none"
 
     @property
+    def miss(self) -> str:
+        """What kind of answer the case has instead of the right one."""
+        if not self.answer:
+            return "no answer"
+        if self.kind == "insufficient":
+            return "not enough data to say"
+        if self.label["stratum"] == "none":
+            return "a complete model is not called complete"
+        if self.kind == "complete":
+            return "the gap is not seen"
+        if self.wrong:
+            return "another effect is named" + (", provisionally" if self.provisional else "")
+        if self.kind == "unknown":
+            return "called unknown" + ("" if self.placed else ", at another place")
+        return "not every effect is named, or others in addition"
+
+    @property
     def reason(self) -> str:
         """Why the case is not right, as far as a program can say it."""
         if not self.answer:
             lines = str(self.record.get("said", "")).strip().splitlines()
-            return f"no answer{': ' + lines[-1] if lines else ''}"[:160]
+            return f"{self.miss}{': ' + lines[-1] if lines else ''}"[:160]
+        if self.kind == "insufficient":
+            best = (self.answer.get("best") or {}).get("effects") or []
+            return f"{self.miss}; best explanation: {' and '.join(best) or 'none'}"
         if self.wrong:
             named = set().union(*map(self._foreign, self.sets))
             as_well = [n for names in self.label["as_well"].values() for n in names]
             fitting = all(any(means(n, o) for o in as_well) for n in named)
             fits = ", which fits these runs no worse than the catalogue's own law" if fitting else ""
-            return "names " + ", ".join(sorted(named)) + fits
-        if self.kind == "insufficient":
-            best = (self.answer.get("best") or {}).get("effects") or []
-            return f"not enough data to say; best explanation: {' and '.join(best) or 'none'}"
-        if self.label["stratum"] == "none":
-            return f"a complete model is called {self.kind}"
-        if self.kind == "complete":
-            return "the gap is not seen"
-        if self.kind == "unknown":
-            return "called unknown" + ("" if self.placed else ", at another place")
-        return "not every effect is named, or others in addition"
+            return f"{self.miss}: {', '.join(sorted(named))}{fits}"
+        return self.miss
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from benchmarks.blind import plants
-from benchmarks.blind.__main__ import PAGE, PUBLISHED, answered, publish, verify
+from benchmarks.blind.__main__ import answered, pages, publish, verify, write_pages
 from benchmarks.blind.agreement import TOLERANCE, disagreement
-from benchmarks.blind.page import page
 from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
 from benchmarks.blind.plants.effects import SHAPES, Effect, candidates, other_names, usual, varying
 from benchmarks.blind.plants.grammar import draw_rig, wave
@@ -289,12 +288,12 @@ def test_the_page_is_what_is_published_and_a_changed_answer_is_noticed(tmp_path,
     monkeypatch.setattr("benchmarks.blind.__main__.PUBLISHED", tmp_path / "published")
     monkeypatch.setattr("benchmarks.blind.__main__.PAGE", tmp_path / "blind.md")
     folder = publish(5, work, labels)
-    (tmp_path / "blind.md").write_text(page(tmp_path / "published"))
+    write_pages()
     assert verify(1) == []
     answers = folder / "answers.jsonl"
     answers.write_text(answers.read_text().replace('"complete"', '"unknown"'))
     (folder / "logs.sha256").write_text((folder / "logs.sha256").read_text().replace("  c", "0  c", 1))
-    assert len(verify(1)) == 2
+    assert len(verify(1)) == 3  # both pages and the logs
     labels = folder / "labels.jsonl"
     labels.write_text(labels.read_text().replace('"stratum":"', '"stratum":"x'))
     assert any("the label of c0016" in line for line in verify(1))
@@ -309,8 +308,8 @@ def test_a_diagnosis_may_take_so_much_processor_time(tmp_path, monkeypatch):
     assert "no answer in 1 s of processor time" in answered(1, 0, tmp_path, tmp_path / "labels", 1.0)
 
 
-def test_the_committed_page_is_what_the_published_seeds_give():
-    assert PAGE.read_text(encoding="utf-8") == page(PUBLISHED)
+def test_the_committed_pages_are_what_the_published_seeds_give():
+    assert all(file.read_text(encoding="utf-8") == text for file, text in pages().items())
 
 
 def test_without_cases_no_figure_is_made_up():
