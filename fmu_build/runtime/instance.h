@@ -109,6 +109,7 @@ struct Instance {
     Listener listener;
     char *name;
     int logging;
+    double patience; /* s of processor time that a communication step may take; 0: any */
     struct Sensitivity *sensitivity; /* NULL: none asked for */
 };
 

@@ -8,7 +8,9 @@
  * fmuidSetInputDirections says how inputs move with the same directions from the present communication point on, for
  * inputs that follow another model: direction j moves input i by seeds[i * n + j], and by rates[i * n + j] more each
  * second until they are given anew. Inputs that it does not name do not move.
- * All return an FMI status and log what is wrong. */
+ * All return an FMI status and log what is wrong.
+ *
+ * fmuidSetPatience lets a communication step of an instance take so many seconds of processor time; any, if infinite. */
 #ifndef FMUID_SENSITIVITY_H
 #define FMUID_SENSITIVITY_H
 
@@ -28,5 +30,6 @@ FMUID_EXPORT int fmuidSetSensitivityDirections(void *instance, const unsigned *p
 FMUID_EXPORT int fmuidSetInputDirections(void *instance, const unsigned *inputs, size_t n_inputs, const double *seeds,
                                           const double *rates);
 FMUID_EXPORT int fmuidGetSensitivities(void *instance, const unsigned *variables, size_t n, double *values);
+FMUID_EXPORT void fmuidSetPatience(void *instance, double seconds);
 
 #endif

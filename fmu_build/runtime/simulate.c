@@ -1,12 +1,16 @@
 /* Values by reference, co-simulation steps and directional derivatives: the FMI functions without their names. */
 #include <math.h>
 #include <string.h>
+#include <time.h>
 
 #include "instance.h"
 #include "sensitivity.h"
 
 static const long MAX_STEPS = 5000000; /* in one communication step: something is wrong, do not hang */
 static const int MAX_EVENTS = 1000;    /* without progress in time */
+static const long LOOKS = 256;         /* integration steps between looks at the clock */
+
+void fmuidSetPatience(void *instance, double seconds) { ((Instance *)instance)->patience = isfinite(seconds) ? seconds : 0.0; }
 
 /* Brings what `vector` holds up to date at the current point. */
 static Status refresh(Instance *me, Vector vector) {
@@ -222,6 +226,7 @@ Status do_step(Instance *me, double t, double h) {
     const long limit = step->steps + MAX_STEPS;
     const double close = 1e-280 + 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
     const double late = 1e-13 * fmax(1.0, fabs(target)); /* so much may a sum of sample times be off */
+    const clock_t begun = clock();
     int events = 0;
     double last_event = -INFINITY;
     while (!s->terminate) {
@@ -247,6 +252,8 @@ Status do_step(Instance *me, double t, double h) {
         if (step->t1 > step->t0) find_event(me, step->t0, step->t1, 4);
         if (step->steps > limit)
             return report(me, STATUS_ERROR, "t = %.9g: more than %ld integration steps", step->t1, MAX_STEPS);
+        if (me->patience > 0.0 && step->steps % LOOKS == 0 && (double)(clock() - begun) > me->patience * CLOCKS_PER_SEC)
+            return report(me, STATUS_ERROR, "t = %.9g: one step takes over %g s of processor time", step->t1, me->patience);
     }
     if (!s->terminate) {
         move_to(me, target);

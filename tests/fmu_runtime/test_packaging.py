@@ -89,6 +89,7 @@ def test_links_only_libc_and_libm(built):
     assert {n for n in names if not n.startswith("fmi2")} == {
         "fmuidGetSensitivities",
         "fmuidSetInputDirections",
+        "fmuidSetPatience",
         "fmuidSetSensitivityDirections",
         "fmuidSetSensitivityParameters",
     }

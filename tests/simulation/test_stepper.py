@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fmus import FAULTS
 
+from fmu_build import build as build_modelica
 from fmuid.core.errors import FmuError, SimulationError
 from fmuid.simulation import stepper
 from fmuid.simulation.fmu import Fmu
@@ -74,6 +75,29 @@ def test_a_run_that_takes_far_longer_than_others_is_stopped(build, monkeypatch):
     with pytest.raises(SimulationError, match=r"over 100 times as long as others and was stopped at t = 0\.\d+ s"):
         fmu.simulate(task, {})
     monkeypatch.setattr(stepper.time, "thread_time", clock(1e-2))
+    assert np.array_equal(fmu.simulate(task, {}), expected)
+
+
+OSCILLATOR = """
+model Oscillator
+  parameter Real w = 1;
+  output Real x(start = 1, fixed = true);
+  Real y(start = 0, fixed = true);
+equation
+  der(x) = w*y;
+  der(y) = -w*x;
+end Oscillator;
+"""
+
+
+def test_a_single_step_that_takes_far_longer_than_others_is_stopped(tmp_path, monkeypatch):
+    monkeypatch.setattr(stepper, "_PATIENCE", 1e-2)
+    (tmp_path / "Oscillator.mo").write_text(OSCILLATOR)
+    fmu = Fmu(build_modelica(tmp_path / "Oscillator.mo", "Oscillator", tmp_path))
+    task = Task(np.arange(3.0), {}, ("x",))
+    expected = fmu.simulate(task, {})
+    with pytest.raises(SimulationError, match=r"one step takes over \S+ s of processor time"):
+        fmu.simulate(task, {"w": 1e9})
     assert np.array_equal(fmu.simulate(task, {}), expected)
 
 

@@ -433,7 +433,7 @@ class Fmu(Simulator):
                 self._slots[n].size == 1 for n in task.outputs
             )
             f, y, rows = np.zeros((k, n)), np.zeros((k, q)), np.zeros((k, n, n + q))
-            self.engage(prepared)
+            self.engage(prepared, np.inf)
             arrays = (times, x, inputs, steps, references, f, y, rows, np.zeros(3 * n + 2 * q + 1))
             used = [a.ctypes.data for a in arrays]
             used[4] = used[4] if offered else None
@@ -445,8 +445,11 @@ class Fmu(Simulator):
                 raise error
             return f, y, rows.transpose(0, 2, 1)
 
-    def engage(self, prepared: PreparedTask) -> None:
-        """Give the plan an instance to run on, a new one if a reset is not equivalent; see `discard`."""
+    def engage(self, prepared: PreparedTask, patience: float) -> None:
+        """Give the plan an instance to run on, a new one if a reset is not equivalent; see `discard`.
+
+        No communication step of it may take longer than `patience`, in s, if the FMU can look at the clock.
+        """
         library = self._load()
         if self._used and self._renewal == "instantiate":
             self.discard()
@@ -466,6 +469,7 @@ class Fmu(Simulator):
                     fix="simulate it in worker processes (`fmuid.WorkerPool`), which are restarted for it",
                 ) from None
             self._used, self._instantiated = False, True
+        library.limit(self._instance, patience)
         prepared.plan.instance = self._instance
         prepared.plan.reset = int(self._used)
         self._used = True
@@ -473,12 +477,13 @@ class Fmu(Simulator):
     def _simulate(self, prepared: PreparedTask, n_times: int | None = None) -> FloatArray:
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
-        self.engage(prepared)
+        n_points = predictions.shape[-1]
+        self.engage(prepared, self._patience.of_run(n_points))
         key = self._branches.begin(prepared, predictions) if self.saves_state else None
         fatal = False
         finished = False
         try:
-            outcome = self._patience.run_to_end(_run(), plan, predictions.shape[-1])
+            outcome = self._patience.run_to_end(_run(), plan, n_points)
             if outcome == Outcome.DONE:
                 finished = True
                 return predictions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from ctypes import CFUNCTYPE, c_bool, c_char_p, c_int, c_size_t, c_void_p
+from ctypes import CFUNCTYPE, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,7 @@ _OWN = {  # exported by FMUs of fmu_build in addition to the standard
     "SET_DIRECTIONS": "fmuidSetSensitivityDirections",
     "SET_INPUT_DIRECTIONS": "fmuidSetInputDirections",
     "GET_SENSITIVITIES": "fmuidGetSensitivities",
+    "SET_PATIENCE": "fmuidSetPatience",
 }
 _COMMON = ["ENTER_INITIALIZATION", "EXIT_INITIALIZATION"]
 _NEEDED = {  # without RESET, a new instance is made for every run
@@ -149,6 +150,8 @@ class FmuLibrary:
         ]
         if missing:
             raise FmuError(f"its library lacks {', '.join(missing)}", where=where, fix="export the FMU again")
+        patience = self._symbol(_OWN["SET_PATIENCE"])
+        self._set_patience = CFUNCTYPE(None, c_void_p, c_double)(patience) if patience else None
         self.log = Log()
         self._callbacks = _Callbacks2(
             self.log.callback(2),
@@ -237,6 +240,11 @@ class FmuLibrary:
         moved, weights = (ctypes.c_uint32 * n)(*references), (ctypes.c_double * n)(*[1.0] * n)
         function = CFUNCTYPE(c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)(address)
         return int(function(instance, moved, n, weights, 1)) <= 1
+
+    def limit(self, instance: int, seconds: float) -> None:
+        """Let a communication step take at most so much processor time, if the FMU can look at the clock."""
+        if self._set_patience is not None:
+            self._set_patience(instance, seconds)
 
     def free(self, instance: int) -> None:
         """Free an instance."""

@@ -206,11 +206,18 @@ class Patience:
 
     A search may try parameters at which a model does next to nothing but switch to and fro. Such a run fails
     when it has taken 2 s of processor time, and 100 times as long a communication point as most runs that ended
-    (their median). Until a run has ended there is no limit.
+    (their median). With every run that fails late, the next ones have less of the 2 s: the n-th has 2/n s, because
+    a search soon knows no other runs. Until a run has ended there is no limit.
     """
 
     def __init__(self) -> None:
         self._taken = array("d")  # s of processor time for each communication point, of runs that ended
+        self._usual = np.inf  # their median, as of the last power of two of them
+        self._late = 0  # number of runs that failed after more than their share of time
+
+    def of_run(self, n_times: int) -> float:
+        """Return how long a run over so many communication points may take, s; infinite before one has ended."""
+        return max(_PATIENCE / (1 + self._late), _SLOWER * self._usual * n_times)
 
     def run_to_end(self, run: Callable[[T, int, float], int], subject: T, n_times: int) -> int:
         """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect.
@@ -218,16 +225,22 @@ class Patience:
         Up to the first pause, the clock stands for processor time, which takes longer to ask for. It shows more
         if the machine slept, so no more than a slice counts.
         """
+        called = time.perf_counter()
         outcome = run(subject, 0, _SLICE)
         taken = min(subject.taken, _SLICE)
         if outcome == Outcome.PAUSED:
             begun = time.thread_time() - taken
-            usual = float(np.median(self._taken)) * n_times if self._taken else np.inf
+            patience = self.of_run(n_times)
             while outcome == Outcome.PAUSED:
-                if time.thread_time() - begun > max(_PATIENCE, _SLOWER * usual):
-                    return Outcome.TOO_SLOW
+                if time.thread_time() - begun > patience:
+                    outcome = Outcome.TOO_SLOW
+                    break
                 outcome = run(subject, 1, _SLICE)
             taken = time.thread_time() - begun
         if outcome == Outcome.DONE:
             self._taken.append(taken / n_times)
+            if (n := len(self._taken)) & (n - 1) == 0:
+                self._usual = float(np.median(self._taken))
+        else:
+            self._late += time.perf_counter() - called > _SLOWER * self._usual * n_times
         return outcome
