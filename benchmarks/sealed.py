@@ -3,13 +3,15 @@
 `make sealed`: case ``NAME`` is the measurement file ``NAME/measurements.h5``; the reference is a
 campaign whose own measurements it replaces. `make sealed-abroad`: every case is a campaign of its own, with its
 plain model.
-A case whose JSON exists is not diagnosed again.
+A case whose JSON exists is not diagnosed again. `sealed/changes.csv` has changed verdicts with the reasons.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +25,8 @@ from fmuid.core.files import write_atomically
 from fmuid.diagnosis.summary import named, probability
 from fmuid.simulation.pool.workers import WorkerPool
 
+_CHANGES = "changes.csv"
+_CHANGED = "## Changed verdicts"
 _COLUMNS = (
     "case",
     "verdict",
@@ -87,12 +91,17 @@ def diagnose_folder(
     return failures
 
 
-def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the Markdown page about diagnoses by case name, of both kinds of campaigns."""
+def page(
+    home: Mapping[str, Mapping[str, Any]],
+    abroad: Mapping[str, Mapping[str, Any]],
+    changes: Sequence[Mapping[str, str]] = (),
+) -> str:
+    """Return the Markdown page about diagnoses by case name, of both kinds of campaigns, and their `changes`."""
     lines = [
         "# Diagnoses of the sealed campaigns",
         "",
-        "Verdicts of fmuid on campaigns whose answers are withheld, case by case, as given.",
+        "Verdicts of fmuid on campaigns whose answers are withheld, case by case, as given; some have",
+        "[changed](#changed-verdicts).",
         "",
         "Gaps are in noise floors: with the base model's parameters refitted, and with the verdict's effects.",
         "The expected closure is for a new experiment, beyond what refitting closes; *unknown* and *complete*",
@@ -111,23 +120,42 @@ def page(home: Mapping[str, Mapping[str, Any]], abroad: Mapping[str, Mapping[str
             " `make sealed-abroad`; each whole answer is in `sealed/abroad/`.",
         ),
     ]
+    if changes:
+        lines += [
+            "",
+            _CHANGED,
+            "",
+            "Every change since the first version of this page, with its reason as far as the commits give one.",
+            "",
+            *_table(tuple(changes[0]), [list(change.values()) for change in changes]),
+        ]
     lines += ["", "Next: [how good it is](quality.md)."]
     return "\n".join(lines) + "\n"
+
+
+def changes_of(folder: Path) -> list[dict[str, str]]:
+    """Return the changes of verdicts that `folder` lists: cases, from, to, date, commit and reason."""
+    file = folder / _CHANGES
+    return list(csv.DictReader(file.read_text().splitlines())) if file.is_file() else []
+
+
+def unexplained(before: str, after: str, changes: Sequence[Mapping[str, str]]) -> list[str]:
+    """Return the changes of verdicts between two versions of the page that are not among `changes`."""
+    results = (text.partition(_CHANGED)[0] for text in (before, after))
+    old, new = (dict(re.findall(r"^\| (\w\d+) \| (.*?) \|", text, re.MULTILINE)) for text in results)
+    told = {(case, change["to"]) for change in changes for case in change["cases"].split(", ")}
+    return [
+        f"{case}: from {old[case]} to {verdict}"
+        for case, verdict in new.items()
+        if verdict != old.get(case, verdict) and (case, verdict) not in told
+    ]
 
 
 def _section(title: str, results: Mapping[str, Mapping[str, Any]], introduction: str) -> list[str]:
     if not results:
         return []
-    lines = [
-        "",
-        f"## {title}",
-        "",
-        introduction,
-        "",
-        "| " + " | ".join(_COLUMNS) + " |",
-        "|" + "---|" * len(_COLUMNS),
-    ]
-    lines += ["| " + " | ".join(_row(name, answer)) + " |" for name, answer in results.items()]
+    rows = [_row(name, answer) for name, answer in results.items()]
+    lines = ["", f"## {title}", "", introduction, "", *_table(_COLUMNS, rows)]
     open_ = [(n, a) for n, a in results.items() if a.get("next_experiment")]
     if open_:
         lines += ["", "What would settle the open ones:", ""]
@@ -136,6 +164,10 @@ def _section(title: str, results: Mapping[str, Mapping[str, Any]], introduction:
             sigma = f"{e['separation_sigma']:.3g} standard deviations between {' and '.join(e['between'])}"
             lines.append(f"- {name}: {e['setup']}, {e['description']}: {sigma}")
     return lines
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in rows)]
 
 
 def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
@@ -176,7 +208,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.page is not None:
             folders = (given.out, given.out / "abroad")
             home, abroad = ({p.stem: json.loads(p.read_text()) for p in sorted(f.glob("*.json"))} for f in folders)
-            write_atomically(given.page, page(home, abroad))
+            changes = changes_of(given.out)
+            text = page(home, abroad, changes)
+            before = given.page.read_text() if given.page.is_file() else ""
+            missing = unexplained(before, text, changes)
+            if not missing:
+                write_atomically(given.page, text)
+            failures += [
+                f"{change}: add the reason to {given.out / _CHANGES}; the page is as before" for change in missing
+            ]
         return failures
 
     return ended(work, resumes=True)

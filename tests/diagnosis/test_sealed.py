@@ -74,3 +74,39 @@ def test_a_case_that_fails_does_not_stop_the_others(tmp_path: Path, capsys):
     assert sealed.main([str(tmp_path), "--out", str(tmp_path / "out"), "--workers", "1"]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert [line[:4] for line in lines] == ["s01:", "s02:"]
+
+
+CHANGE = {"cases": "s01, s02", "from": "unknown", "to": "complete", "date": "2026-11-25", "reason": "a new law"}
+
+
+def test_the_page_lists_changed_verdicts_with_their_reasons():
+    text = sealed.page({"s01": ANSWER}, {}, [CHANGE])
+    assert "| cases | from | to | date | reason |" in text
+    assert "| s01, s02 | unknown | complete | 2026-11-25 | a new law |" in text
+
+
+def test_a_changed_verdict_without_a_reason_keeps_the_page(tmp_path: Path, capsys):
+    (tmp_path / "s01").mkdir()
+    (tmp_path / "s01" / "measurements.h5").write_bytes(b"")
+    (tmp_path / "s01.json").write_text(json.dumps(ANSWER))
+    page = tmp_path / "page.md"
+    before = sealed.page(
+        {"s01": {**ANSWER, "verdict": {**ANSWER["verdict"], "kind": "unknown", "one_of": []}}}, {}
+    )
+    page.write_text(before)
+    arguments = [str(tmp_path), "--out", str(tmp_path), "--page", str(page), "--workers", "1"]
+    assert sealed.main(arguments) == 1
+    assert "s01: from unknown to ambiguous: viscous or stribeck: add the reason to" in capsys.readouterr().err
+    assert page.read_text() == before
+    row = 's01,unknown,ambiguous: viscous or stribeck,2026-11-25,"a law, wider"'
+    (tmp_path / "changes.csv").write_text(f"cases,from,to,date,reason\n{row}\n")
+    assert sealed.main(arguments) == 0
+    assert "a law, wider" in page.read_text()
+
+
+def test_the_page_in_the_docs_has_the_reasons_and_todays_verdicts():
+    root = Path(__file__).parents[2]
+    folders = (root / "sealed", root / "sealed" / "abroad")
+    home, abroad = ({p.stem: json.loads(p.read_text()) for p in sorted(f.glob("*.json"))} for f in folders)
+    changes = sealed.changes_of(root / "sealed")
+    assert (root / "docs" / "sealed.md").read_text() == sealed.page(home, abroad, changes)
