@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,27 +13,13 @@ from fmuid.cli.output import Json, Printer, Quiet, Trust, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
 
 
-class For(StrEnum):
-    """Purpose of an experiment."""
-
-    DIAGNOSIS = "diagnosis"
-    PARAMETERS = "parameters"
-
-
-class Optimality(StrEnum):
-    """Criterion of a design for parameters."""
-
-    D = "D"
-    A = "A"
-
-
 def design(
     campaign: Annotated[
         Path,
         typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign, or the run folder of identify or diagnose."),
     ],
     for_: Annotated[
-        For,
+        Literal["diagnosis", "parameters"],
         typer.Option("--for", help="diagnosis: separate its answers; parameters: shrink their intervals."),
     ],
     from_: Annotated[
@@ -48,8 +33,9 @@ def design(
         str | None, typer.Option(help="Use the parameters of this stage (default: all free parameters).")
     ] = None,
     optimality: Annotated[
-        Optimality, typer.Option(help="D: smallest confidence region; A: smallest sum of squared relative errors.")
-    ] = Optimality.D,
+        Literal["D", "A"],
+        typer.Option(help="D: smallest confidence region; A: smallest sum of squared relative errors."),
+    ] = "D",
     evaluations: Annotated[int, typer.Option(min=8, help="Excitations to try.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the search and of random phases.")] = 0,
     workers: Workers = None,
@@ -74,11 +60,11 @@ def design(
     with printer.working("") as shown:
         designed = design_experiment(
             campaign,
-            for_.value,
+            for_,
             start=from_,
             out=folder,
             stage=stage,
-            optimality=optimality.value,
+            optimality=optimality,
             evaluations=evaluations,
             seed=seed,
             workers=workers,

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -15,37 +14,20 @@ from fmuid.cli.output import Json, Printer, Quiet, Trust, writable
 from fmuid.cli.supervised import MemoryLimit, TimeLimit, Workers, in_bytes
 
 
-class Way(StrEnum):
-    """Method of a sensitivity analysis."""
-
-    SOBOL = "sobol"
-    MORRIS = "morris"
-
-
-class Of(StrEnum):
-    """Scalar that is computed from each output."""
-
-    CHANGE = "change"
-    CRITERION = "criterion"
-    MEAN = "mean"
-    FINAL = "final"
-    MINIMUM = "minimum"
-    MAXIMUM = "maximum"
-
-
 def sensitivity(
     campaign: Annotated[
         Path, typer.Argument(metavar="CAMPAIGN|RUN", help="A campaign or the run folder of fmuid identify.")
     ],
     method: Annotated[
-        Way, typer.Option(help="sobol: shares of the variance; morris: a ranking from few simulations.")
-    ] = Way.SOBOL,
+        Literal["sobol", "morris"],
+        typer.Option(help="sobol: shares of the variance; morris: a ranking from few simulations."),
+    ] = "sobol",
     of: Annotated[
-        Of,
+        Literal["change", "criterion", "mean", "final", "minimum", "maximum"],
         typer.Option(
             help="Scalar of each output: its change in standard deviations of the noise, or another one."
         ),
-    ] = Of.CHANGE,
+    ] = "change",
     stage: Annotated[
         str | None,
         typer.Option(
@@ -91,8 +73,8 @@ def sensitivity(
     with printer.working("") as shown:
         ranked = global_sensitivity(
             loaded,
-            method.value,
-            of=of.value,
+            method,
+            of=of,
             stage=stage,
             experiments=experiment or (),
             inputs=input_,
