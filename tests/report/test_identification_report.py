@@ -219,9 +219,9 @@ def test_free_rotation_gives_the_torque_of_the_loss_table():
         }
         runs.append(Experiment(f"r{repeat}", "free_shaft", np.arange(300) * 0.01, signals))
     points = free_rotation(runs, 0.7)
-    assert points.speed.tolist() == [-100.0, 50.0]
-    np.testing.assert_allclose(points.torque, [-0.17 / 0.85, 0.145 / 0.915], rtol=5e-3)
-    assert np.all(points.standard_error < 1e-3)
+    assert points.x.tolist() == [-100.0, 50.0]
+    np.testing.assert_allclose(points.y, [-0.17 / 0.85, 0.145 / 0.915], rtol=5e-3)
+    assert np.all(points.error < 1e-3)
 
 
 def test_ramps_and_short_steps_are_no_plateaus():

@@ -11,7 +11,7 @@ from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
 from fmuid.report.document import Document, Drawing, Item, Section, write_document
 from fmuid.report.plots import Format
-from fmuid.report.plots.figure_data import Figure, Table
+from fmuid.report.plots.figure_data import Table
 from fmuid.report.provenance_table import provenance_table
 
 _NOTHING = DiagnosisPictures()
@@ -65,7 +65,9 @@ def write_diagnosis_report(
             ),
             abreast=bool(pictures.overlays),
         ),
-        Section("Where", (*places, *_present(_excess(pictures))), abreast=len(places) == 2),
+        Section(
+            "Where", (*places, *_present(pictures_of.excess_figure(pictures.excess))), abreast=len(places) == 2
+        ),
         Section(
             "What",
             _present(
@@ -103,10 +105,6 @@ def write_diagnosis_report(
 
 def _present(*items: Item | None) -> tuple[Item, ...]:
     return tuple(i for i in items if i is not None and not (isinstance(i, Table) and not i.rows))
-
-
-def _excess(pictures: DiagnosisPictures) -> Figure | None:
-    return pictures_of.excess_figure(pictures.excess)
 
 
 def _law(diagnosis: Mapping[str, Any]) -> str:

@@ -128,12 +128,8 @@ def rendered(document: Document) -> str:
 
 def _json(spec: Any) -> str:
     # "<" is written as an escape, so that nothing in the data can close the enclosing script element.
-    text = json.dumps(spec, separators=(",", ":"), allow_nan=False, default=_number)
+    text = json.dumps(spec, separators=(",", ":"), allow_nan=False, default=float)
     return text.replace("<", "\\u003c")
-
-
-def _number(value: Any) -> float:
-    return float(value)
 
 
 def shown(cell: Cell, digits: int = 5) -> str:

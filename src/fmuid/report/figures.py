@@ -9,6 +9,7 @@ import numpy as np
 
 from fmuid.core.campaign import ParameterSpec
 from fmuid.core.immutable import FloatArray
+from fmuid.identification.result import Estimate
 from fmuid.identification.validate import RunScore
 from fmuid.report.plots.figure_data import (
     Axis,
@@ -238,40 +239,25 @@ def correlation_figure(stage: str, names: Sequence[str], correlation: FloatArray
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """An estimate with the value that it is compared with."""
-
-    name: str
-    value: float
-    standard_error: float | None
-    reference: float | None
-
-    @property
-    def deviation(self) -> float | None:
-        """(value - reference) / reference in percent, if there is a reference other than zero."""
-        return None if not self.reference else 100 * (self.value - self.reference) / abs(self.reference)
-
-
-def deviation_figure(estimates: Sequence[Estimate], kind: str) -> BarFigure | None:
-    """Return deviations from the reference in percent, with 95 % intervals; None if nothing has one."""
+def deviation_figure(estimates: Sequence[Estimate]) -> BarFigure | None:
+    """Return deviations from the truth in percent, with 95 % intervals; None if nothing has one."""
     bars = []
     for e in estimates:
-        if e.deviation is None or e.reference is None:
+        if e.relative_error is None or e.truth is None:
             continue
-        interval = None
+        deviation, interval = 100 * e.relative_error, None
         if e.standard_error is not None and np.isfinite(e.standard_error):
-            half = 100 * 1.96 * e.standard_error / abs(e.reference)
-            interval = (e.deviation - half, e.deviation + half)
-        bars.append(Bar(e.name, e.deviation, "final", interval, f"{e.deviation:+.2f} %"))
+            half = 100 * 1.96 * e.standard_error / abs(e.truth)
+            interval = (deviation - half, deviation + half)
+        bars.append(Bar(e.name, deviation, "final", interval, f"{deviation:+.2f} %"))
     if not bars:
         return None
     return BarFigure(
         "deviations",
-        f"Deviation of the estimates from the {kind}",
+        "Deviation of the estimates from the truth",
         tuple(bars),
-        Axis(f"deviation from the {kind}", "%"),
-        ((0.0, kind),),
+        Axis("deviation from the truth", "%"),
+        ((0.0, "truth"),),
         "Lines: 95 % intervals.",
     )
 
@@ -290,42 +276,3 @@ def fit_figure(name: str, scores: Sequence[RunScore]) -> BarFigure:
     )
     caption = "RMSE divided by the standard deviation of the measurement: 0 is perfect, 100 % as bad as its mean."
     return BarFigure(name, "NRMSE of every run", bars, Axis("NRMSE", "%"), caption=caption)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrictionPoints:
-    """Bearing friction read at constant speed: `torque` = K_m mean(i_motor), all arrays (n,)."""
-
-    speed: FloatArray
-    torque: FloatArray
-    standard_error: FloatArray | None = None
-
-
-def friction_figure(
-    points: FrictionPoints | None, laws: Sequence[tuple[str, Role, FloatArray, FloatArray]]
-) -> LineFigure:
-    """Return bearing friction over speed (the paper's Fig. 10); `laws` are (label, role, speeds, torques)."""
-    series = [Series(label, w, torque, role) for label, role, w, torque in laws]
-    if points is not None:
-        series.insert(
-            0,
-            Series(
-                "K_m · mean(i_motor) at constant speed",
-                points.speed,
-                points.torque,
-                "measurement",
-                points.standard_error,
-                points=True,
-            ),
-        )
-    panel = Panel(
-        "Bearing friction",
-        Axis("speed of the input shaft", "rad/s"),
-        Axis("friction torque", "N.m"),
-        tuple(series),
-    )
-    caption = (
-        "Points: motor torque that keeps the speed constant without load. "
-        "Lines: the bearing part of the loss table."
-    )
-    return LineFigure("friction", "Bearing friction over speed", (panel,), caption, 1)

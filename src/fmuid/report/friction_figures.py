@@ -14,8 +14,7 @@ import numpy as np
 from fmuid.core.campaign import Campaign
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
-from fmuid.report.figures import FrictionPoints, friction_figure
-from fmuid.report.plots.figure_data import LineFigure, Role
+from fmuid.report.plots.figure_data import Axis, LineFigure, Panel, Role, Series
 from fmuid.simulation.simulator import Simulator
 
 SETUP, REFERENCE, CURRENT, CONSTANT = "free_shaft", "w_ref", "i_motor", "K_m"
@@ -52,17 +51,24 @@ def bearing_friction(
     points = free_rotation(runs, known[CONSTANT])
     if points is None:
         return None
-    top = float(np.max(np.abs(points.speed)))
+    top = float(np.max(np.abs(points.x)))
     speed = np.concatenate([-np.geomspace(top, 0.1, 200), [np.nan], np.geomspace(0.1, top, 200)])
-    laws: list[tuple[str, Role, FloatArray, FloatArray]] = [
-        ("loss table, start", "start", speed, no_load_torque(tables[0], speed)),
-        ("loss table, identified", "final", speed, no_load_torque(tables[1], speed)),
-    ]
+
+    def line(label: str, role: Role, table: FloatArray) -> Series:
+        return Series(f"loss table, {label}", speed, no_load_torque(table, speed), role)
+
+    series = [points, line("start", "start", tables[0]), line("identified", "final", tables[1])]
     truth = {p.name: p.truth for p in campaign.parameters.values() if p.truth is not None}
     true_table = loss_table(known | truth) if any(n.startswith("lossTable[") for n in truth) else None
     if true_table is not None:
-        laws.append(("loss table, truth", "reference", speed, no_load_torque(true_table, speed)))
-    return friction_figure(points, laws)
+        series.append(line("truth", "reference", true_table))
+    axes = Axis("speed of the input shaft", "rad/s"), Axis("friction torque", "N.m")
+    panel = Panel("Bearing friction", *axes, tuple(series))
+    caption = (
+        "Points: motor torque that keeps the speed constant without load. "
+        "Lines: the bearing part of the loss table."
+    )
+    return LineFigure("friction", "Bearing friction over speed", (panel,), caption, 1)
 
 
 def loss_table(values: Mapping[str, float]) -> FloatArray | None:
@@ -83,7 +89,7 @@ def no_load_torque(table: FloatArray, speed: FloatArray) -> FloatArray:
     return np.asarray(np.sign(speed) * bearing / eta)
 
 
-def free_rotation(runs: list[Experiment], motor_constant: float) -> FrictionPoints | None:
+def free_rotation(runs: list[Experiment], motor_constant: float) -> Series | None:
     """Return motor torque at every plateau of constant speed, averaged over the repeats; None without any.
 
     The standard error is that of the mean over repeats; None for a plateau that was run once.
@@ -102,7 +108,8 @@ def free_rotation(runs: list[Experiment], motor_constant: float) -> FrictionPoin
     errors = None
     if all(len(torques_at[s]) > 1 for s in speeds):
         errors = np.array([np.std(torques_at[s], ddof=1) / np.sqrt(len(torques_at[s])) for s in speeds])
-    return FrictionPoints(np.array(speeds), np.array([np.mean(torques_at[s]) for s in speeds]), errors)
+    torques, label = np.array([np.mean(torques_at[s]) for s in speeds]), "K_m · mean(i_motor) at constant speed"
+    return Series(label, np.array(speeds), torques, "measurement", errors, points=True)
 
 
 def plateaus(time: FloatArray, reference: FloatArray) -> list[tuple[int, int]]:

@@ -201,8 +201,7 @@ def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
     names = {e.name for e in result.estimates}
     columns = {group: v for group, v in published.items() if names & v.keys()}
     items: list[Figure | Table | None] = [_estimates_table(result, campaign, columns)]
-    ordered = _in_order(result, campaign)
-    items.append(figures.deviation_figure([_plain(e, e.truth) for e in ordered], "truth"))
+    items.append(figures.deviation_figure(_in_order(result, campaign)))
     rest = tuple(
         (group, name, value)
         for group, values in published.items()
@@ -388,10 +387,6 @@ def _worst(scores: Sequence[RunScore]) -> list[RunScore]:
     """Return the scores that are drawn, in their order: all, or the worst of very many."""
     ranked = sorted(range(len(scores)), key=lambda k: -np.nan_to_num(scores[k].nrmse, nan=np.inf))
     return [scores[k] for k in sorted(ranked[:_DRAWN])]
-
-
-def _plain(e: Estimate, reference: float | None) -> figures.Estimate:
-    return figures.Estimate(e.name, e.value, e.standard_error, reference)
 
 
 def _provenance(result: Result) -> dict[str, str]:

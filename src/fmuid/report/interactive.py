@@ -103,9 +103,7 @@ def _lines(figure: LineFigure) -> tuple[list[Spec], Spec]:
             if panel.link:
                 layout["links"][f"xaxis{suffix}"] = panel.link
             if part is panel and len(figure.panels) > 1:
-                layout["annotations"].append(
-                    _text(panel.title, f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12)
-                )
+                layout["annotations"].append(_title(panel.title, suffix))
             _marks(layout, part, suffix)
             for series in part.series:
                 text = html.escape(style.legend(series), quote=False)
@@ -151,35 +149,28 @@ def _places(figure: LineFigure, columns: int, top: int) -> Spec:
 
 
 def _marks(layout: Spec, panel: Panel, suffix: str) -> None:
+    axes = {"xref": f"x{suffix}", "yref": f"y{suffix} domain"}
     for position, text in panel.marks:
-        layout["shapes"].append(
-            {
-                "type": "line",
-                "xref": f"x{suffix}",
-                "yref": f"y{suffix} domain",
-                "x0": position,
-                "x1": position,
-                "y0": 0,
-                "y1": 1,
-                "line": {"color": style.GREY, "width": 1, "dash": "dot"},
-            }
-        )
-        note = _text(text, f"x{suffix}", f"y{suffix}", at_x=position, at_y=1, size=12, domain=False)
-        layout["annotations"].append(note | {"textangle": -90, "yanchor": "bottom", "xanchor": "center"})
+        layout["shapes"].append(_upright(position, style.GREY, "dot") | axes)
+        note = _note(text, position, 1, textangle=-90, yanchor="bottom", xanchor="center")
+        layout["annotations"].append(note | axes)
 
 
-def _text(text: str, x: str, y: str, *, at_x: float, at_y: float, size: int, domain: bool = True) -> Spec:
-    return {
-        "text": html.escape(text, quote=False),
-        "xref": f"{x} domain" if domain else x,
-        "yref": f"{y} domain",
-        "x": at_x,
-        "y": at_y,
-        "xanchor": "left",
-        "yanchor": "bottom",
-        "showarrow": False,
-        "font": {"size": size},
-    }
+def _upright(x: float, colour: str, dash: str) -> Spec:
+    """Return a vertical line over the whole height of what it refers to."""
+    line = {"color": colour, "width": 1, "dash": dash}
+    return {"type": "line", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line}
+
+
+def _note(text: str, x: float, y: float, **place: Any) -> Spec:
+    text = html.escape(text, quote=False)
+    return {"text": text, "x": x, "y": y, "showarrow": False, "font": {"size": 12}, **place}
+
+
+def _title(text: str, suffix: str) -> Spec:
+    """Return the title of a panel, above its left end."""
+    axes = {"xref": f"x{suffix} domain", "yref": f"y{suffix} domain"}
+    return _note(text, 0, 1, xanchor="left", yanchor="bottom", **axes)
 
 
 def _series(panel: Panel, series: Series) -> Spec:
@@ -317,8 +308,7 @@ def _map_places(figure: MapFigure, columns: int, across: int, label: int) -> Spe
         ticks = {"tickvals": list(range(len(rows))), "ticktext": ["<br>".join(row) for row in rows]}
         places[f"yaxis{suffix}"] = {"domain": [low, top], "showticklabels": column == 0} | ticks
         if figure.headings and (heading := headings[k]):
-            note = _text("", f"x{suffix}", f"y{suffix}", at_x=0, at_y=1, size=12)
-            places["annotations"].append(note | {"text": "<br>".join(heading), "align": "left"})
+            places["annotations"].append(_title("", suffix) | {"text": "<br>".join(heading), "align": "left"})
     return places
 
 
@@ -386,42 +376,12 @@ def _bars(figure: BarFigure) -> tuple[list[Spec], Spec]:
         if bar.note:
             end = _end(bar)
             at = math.log10(end) if figure.quantity.log and end > 0 else end
-            layout["annotations"].append(
-                {
-                    "text": html.escape(bar.note, quote=False),
-                    "x": at,
-                    "y": k,
-                    "xanchor": "left",
-                    "xshift": 8,
-                    "bgcolor": "white",  # a mark may pass behind it
-                    "showarrow": False,
-                    "font": {"size": 12},
-                }
-            )
+            white = "white"  # a mark may pass behind it
+            layout["annotations"].append(_note(bar.note, at, k, xanchor="left", xshift=8, bgcolor=white))
     for position, text in figure.marks:
         at = math.log10(position) if figure.quantity.log else position
-        layout["shapes"].append(
-            {
-                "type": "line",
-                "x0": position,
-                "x1": position,
-                "yref": "paper",
-                "y0": 0,
-                "y1": 1,
-                "line": {"color": style.INK, "width": 1, "dash": "dash"},
-            }
-        )
-        layout["annotations"].append(
-            {
-                "text": html.escape(text, quote=False),
-                "x": at,
-                "yref": "paper",
-                "y": 1,
-                "yanchor": "bottom",
-                "showarrow": False,
-                "font": {"size": 12},
-            }
-        )
+        layout["shapes"].append(_upright(position, style.INK, "dash") | {"yref": "paper"})
+        layout["annotations"].append(_note(text, at, 1, yref="paper", yanchor="bottom"))
     if _beyond(figure, 200) > 70:  # on a phone, notes are below their bars
         under = {"x": 1, "xref": "paper", "xanchor": "right", "xshift": 0, "yshift": -22}
         notes = layout["annotations"]
@@ -455,19 +415,15 @@ def _parallel(figure: ParallelFigure) -> tuple[list[Spec], Spec]:
     cost, values = figure.cost[usable], figure.values[usable]
     order = np.argsort(-cost, kind="stable")
     log = cost.size > 0 and cost.min() > 0
+    label, shown = "log₁₀ cost" if log else "cost", packed(np.log10(cost[order]) if log else cost[order])
     line: Spec = {
-        "color": packed(np.log10(cost[order]) if log else cost[order]),
+        "color": shown,
         "colorscale": style.ORDERED.capitalize(),
         "showscale": True,
-        "colorbar": {"title": {"text": "log₁₀ cost" if log else "cost", "side": "right"}, "thickness": 12},
+        "colorbar": {"title": {"text": label, "side": "right"}, "thickness": 12},
     }
     dimensions = [_dimension(s, values[order, k]) for k, s in enumerate(figure.scales)]
-    dimensions.append(
-        {
-            "label": "log₁₀ cost" if log else "cost",
-            "values": packed(np.log10(cost[order]) if log else cost[order]),
-        }
-    )
+    dimensions.append({"label": label, "values": shown})
     crowded = len(dimensions) > 5
     trace: Spec = {"type": "parcoords", "line": line, "dimensions": dimensions}
     trace |= {font: {"size": 12} for font in ("labelfont", "tickfont", "rangefont")}
@@ -479,22 +435,13 @@ def _parallel(figure: ParallelFigure) -> tuple[list[Spec], Spec]:
 
 
 def _dimension(scale: Scale, values: FloatArray) -> Spec:
-    if not scale.axis.log:
-        low, high = scale.lower, scale.upper
-        return {
-            "label": html.escape(scale.axis.label, quote=False),
-            "range": [low, high],
-            "values": packed(values),
-        }
-    low, high = math.log10(scale.lower), math.log10(scale.upper)
-    ticks = np.linspace(low, high, 5)
-    return {
-        "label": html.escape(scale.axis.label, quote=False),
-        "range": [low, high],
-        "values": packed(np.log10(values)),
-        "tickvals": ticks.tolist(),
-        "ticktext": [f"{float(f'{10**t:.3g}'):g}" for t in ticks],
-    }
+    low, high, ticks = scale.lower, scale.upper, {}
+    if scale.axis.log:
+        low, high, values = math.log10(low), math.log10(high), np.log10(values)
+        at = np.linspace(low, high, 5).tolist()
+        ticks = {"tickvals": at, "ticktext": [f"{float(f'{10**t:.3g}'):g}" for t in at]}
+    label = html.escape(scale.axis.label, quote=False)
+    return {"label": label, "range": [low, high], "values": packed(values), **ticks}
 
 
 def packed(values: FloatArray) -> Spec:

@@ -205,18 +205,7 @@ def _panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
         handles.setdefault(style.legend(series), handle)
     for position, text in panel.marks:
         axes.axvline(position, color=style.GREY, linewidth=0.6, linestyle=(0, (2, 2)))
-        axes.annotate(
-            text,
-            (position, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            fontsize=6.5,
-            color=style.INK,
-            rotation=90,
-        )
+        _above(axes, position, text, 3, va="bottom", fontsize=6.5, color=style.INK, rotation=90)
     _label(axes, panel.x, panel.y)
     if not panel.x.log and panel.series:
         alone = axes.get_position().width > 0.5  # wide enough for numbers of seven digits
@@ -224,6 +213,12 @@ def _panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
         spans = [s.x[np.isfinite(s.x)] for s in panel.series]
         if all(not s.points for s in panel.series) and any(x.size for x in spans):
             axes.set_xlim(min(x.min() for x in spans if x.size), max(x.max() for x in spans if x.size))
+
+
+def _above(axes: Axes, x: float, text: str, points: float, **look: Any) -> None:
+    """Write a text some points above the panel, at a value of its horizontal axis."""
+    place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": "center"}
+    axes.annotate(text, (x, 1), xytext=(0, points), **place, **look)
 
 
 def _label(axes: Axes, x: Axis, y: Axis) -> None:
@@ -335,15 +330,7 @@ def _bars(figure: BarFigure) -> Canvas:
         axes.set_xlim(*figure.limits)
     for position, text in figure.marks:
         axes.axvline(position, color=style.INK, linewidth=0.8, linestyle=(0, (3, 2)))
-        axes.annotate(
-            text,
-            (position, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 2),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-        )
+        _above(axes, position, text, 2, fontsize=7)
     return canvas
 
 

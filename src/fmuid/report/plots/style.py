@@ -6,16 +6,13 @@ from dataclasses import dataclass
 
 from fmuid.report.plots.figure_data import Role, Series
 
-BLACK = "#000000"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
 GREEN = "#009E73"
-YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILLION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#9A9A9A"
-LIGHT = "#D9D9D9"
 INK = "#222222"
 
 ORDERED = "cividis"
