@@ -18,7 +18,6 @@ from fmuid.core.one_thread import in_one_thread
 from fmuid.core.units import conversion
 from fmuid.identification.problem.segments import growth_of
 from fmuid.simulation.runners import Runner, in_process
-from fmuid.simulation.segmented import Growth
 from fmuid.simulation.simulator import Simulator, Variable
 
 Level = Literal["error", "warning", "note"]
@@ -38,6 +37,11 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}" + (f"; {self.fix}" if self.fix else "")
+
+
+class _Findings(list[Finding]):
+    def add(self, level: Level, where: str, what: str, fix: str = "") -> None:
+        self.append(Finding(level, where, what, fix))
 
 
 def load_models(campaign: Campaign) -> dict[str, Simulator]:
@@ -85,12 +89,10 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
     UnitError
         A unit cannot be converted into the variable's.
     """
-    findings: dict[Finding, None] = {}
+    findings = _Findings()
     for setup, simulator in simulators.items():
         if tool := simulator.needed_tool:
-            findings[
-                Finding("note", f"[models.{setup}]", f"needs {tool} to be installed (needsExecutionTool)")
-            ] = None
+            findings.add("note", f"[models.{setup}]", f"needs {tool} to be installed (needsExecutionTool)")
     for experiment in _first_runs(campaign):
         model, simulator = campaign.models[experiment.setup], simulators[experiment.setup]
         where = f"experiment '{experiment.id}'"
@@ -99,7 +101,12 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
         for signal in experiment.signals.values():
             named = signal.causality == "input" or signal.name in judged | model.map.keys()
             if not named and signal.name not in simulator.variables:
-                findings[_not_compared(experiment, signal.name, model)] = None
+                findings.add(
+                    "note",
+                    f"setup '{experiment.setup}'",
+                    f"output '{signal.name}' is not in {model.fmu.name}, so it is not compared",
+                    f"name its variable in [models.{model.setup}] map if it is",
+                )
                 continue
             _match_signal(signal, model, simulator.variables, where)
             compared += signal.causality == "output"
@@ -116,47 +123,34 @@ def match_models(campaign: Campaign, simulators: Mapping[str, Simulator]) -> tup
         for name in _undriven(experiment, model, simulator.variables):
             start = simulator.variables[name].start
             kept = "its start value" if start is None else f"{start:g}"
-            findings[
-                Finding("note", f"[models.{model.setup}]", f"input '{name}' is not driven", f"it stays at {kept}")
-            ] = None
+            findings.add("note", f"[models.{model.setup}]", f"input '{name}' is not driven", f"it stays at {kept}")
     _match_names(campaign, simulators)
-    return tuple(findings)
+    return tuple(dict.fromkeys(findings))
 
 
 def check_signals(campaign: Campaign) -> tuple[Finding, ...]:
     """Check the recordings: uninformative signals, gaps, unknown noise."""
-    findings: list[Finding] = []
+    findings = _Findings()
     for experiment in _first_runs(campaign):
         where = f"experiment '{experiment.id}'"
         steps = np.diff(experiment.time)
         usual = float(np.median(steps))
         longest = int(np.argmax(steps))
         if steps[longest] > _GAP * usual:
-            findings.append(
-                Finding(
-                    "warning",
-                    where,
-                    f"a gap of {steps[longest]:.3g} s at {experiment.time[longest]:.6g} s"
-                    f" where {usual:.3g} s is usual",
-                    "cut the run there, or leave the gap if the input was constant",
-                )
+            what = (
+                f"a gap of {steps[longest]:.3g} s at {experiment.time[longest]:.6g} s where {usual:.3g} s is usual"
             )
+            findings.add("warning", where, what, "cut the run there, or leave the gap if the input was constant")
         for signal in experiment.signals.values():
             findings += _check_values(signal, f"{where}, signal '{signal.name}'")
         runs = len(campaign.measurements.repeats(experiment.id))
         if runs == 1 and any(s.sigma is None for s in experiment.outputs.values()):
-            findings.append(
-                Finding(
-                    "warning",
-                    where,
-                    "its noise is unknown: one run and no sigma",
-                    "give it (--sigma of fmuid init and import), or repeat the run",
-                )
-            )
+            fix = "give it (--sigma of fmuid init and import), or repeat the run"
+            findings.add("warning", where, "its noise is unknown: one run and no sigma", fix)
     for outlier in campaign.outliers:
         where = f"experiment '{outlier.experiment}', signal '{outlier.signal}'"
         fix = 'check the sensor, or keep them with outliers = "keep" in [campaign]'
-        findings.append(Finding("warning", where, f"{outlier} excluded", fix))
+        findings.add("warning", where, f"{outlier} excluded", fix)
     return tuple(findings)
 
 
@@ -199,7 +193,7 @@ def check_effects(
     from fmuid.identification.step_error import step_error
     from fmuid.identification.uncertainty.sensitivity import excitation, sensitivity_of
 
-    findings = [Finding("warning", "identification runs", what) for what in excitation(campaign)]
+    findings = _Findings(Finding("warning", "identification runs", what) for what in excitation(campaign))
     effects: list[Effect] = []
     for stage in campaign.stages.values():
         where = f"[stages.{stage.name}]"
@@ -212,64 +206,35 @@ def check_effects(
                 for case in longest.values():
                     growth = growth_of(case, problem.space.to_model(problem.space.start))
                     if growth is not None and growth.runs_away:
-                        findings.append(_runs_away(f"{where}, experiment '{case.id}'", growth))
+                        at, what = (
+                            f"{where}, experiment '{case.id}'",
+                            f"the simulation diverges in open loop: {growth}",
+                        )
+                        segments = f'segments = "auto" (about {growth.length:.2g} s)'
+                        findings.add("warning", at, what, f"write {segments} or observer = true in the stage")
         except SimulationError as error:
-            findings.append(
-                Finding(
-                    "error",
-                    where,
-                    f"cannot be simulated at the start values ({error.what})",
-                    "move the start values",
-                )
-            )
+            what = f"cannot be simulated at the start values ({error.what})"
+            findings.add("error", where, what, "move the start values")
             continue
-        findings += [
-            Finding("warning", where, what, "cut the run there, or use segments") for what in problem.findings
-        ]
+        cut = "cut the run there, or use segments"
+        findings += [Finding("warning", where, what, cut) for what in problem.findings]
         moved = step_error(campaign, stage, simulators, runner)
         worst = max(moved, key=lambda label: moved[label], default="")
         if worst and moved[worst] > _STEP_ERROR:
-            findings.append(
-                Finding(
-                    "warning",
-                    where,
-                    f"halving the communication step changes '{worst}' by {moved[worst]:.2g} sigma",
-                    'take a shorter step, or extrapolation = "linear"',
-                )
-            )
+            what = f"halving the communication step changes '{worst}' by {moved[worst]:.2g} sigma"
+            findings.add("warning", where, what, 'take a shorter step, or extrapolation = "linear"')
         for name, row, step in zip(sensitivity.names, sensitivity.effect, sensitivity.steps, strict=True):
             strongest = int(np.argmax(row))
             label, floor = sensitivity.labels[strongest], sensitivity.floor.residual
             effects.append(Effect(stage.name, name, float(row[strongest]), label, float(step), floor))
         for name in sensitivity.dead:
-            findings.append(
-                Finding(
-                    "error",
-                    f"{where}, parameter '{name}'",
-                    "does not affect any measured output",
-                    "fix it, or add an experiment that excites it",
-                )
-            )
+            fix = "fix it, or add an experiment that excites it"
+            findings.add("error", f"{where}, parameter '{name}'", "does not affect any measured output", fix)
         alive = [n for n in sensitivity.identifiability.undetermined if n not in sensitivity.dead]
         if alive:
-            findings.append(
-                Finding(
-                    "warning",
-                    where,
-                    str(sensitivity.identifiability),
-                    "fix one of them, or add an experiment that distinguishes them",
-                )
-            )
+            fix = "fix one of them, or add an experiment that distinguishes them"
+            findings.add("warning", where, str(sensitivity.identifiability), fix)
     return tuple(findings), tuple(effects)
-
-
-def _runs_away(where: str, growth: Growth) -> Finding:
-    return Finding(
-        "warning",
-        where,
-        f"the simulation diverges in open loop: {growth}",
-        f'write segments = "auto" (about {growth.length:.2g} s) or observer = true in the stage',
-    )
 
 
 def _first_runs(campaign: Campaign) -> Iterator[Experiment]:
@@ -287,15 +252,6 @@ def _judged_signals(campaign: Campaign, experiment: Experiment) -> set[str]:
         for criterion in stage.criteria
         if criterion.signal in experiment.outputs
     }
-
-
-def _not_compared(experiment: Experiment, name: str, model: ModelSpec) -> Finding:
-    return Finding(
-        "note",
-        f"setup '{experiment.setup}'",
-        f"output '{name}' is not in {model.fmu.name}, so it is not compared",
-        f"name its variable in [models.{model.setup}] map if it is",
-    )
 
 
 def _match_signal(signal: Signal, model: ModelSpec, variables: Mapping[str, Variable], where: str) -> None:
