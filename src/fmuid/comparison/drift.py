@@ -12,10 +12,10 @@ import numpy as np
 from fmu_build.suggest import suggestion
 from fmuid.comparison.compare import Comparison, compare_tables, funnel_around
 from fmuid.core.campaign import Interpolation
-from fmuid.core.errors import FmuError, FmuidError, UnitError
+from fmuid.core.errors import FmuError, FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray
-from fmuid.core.units import conversion
+from fmuid.core.units import conversion_at
 from fmuid.data.crosscheck_csv import Table, read_csv
 from fmuid.simulation.runners import Runner, in_process, simulated
 from fmuid.simulation.simulator import Simulator, Task
@@ -200,10 +200,12 @@ def _simulated(
     for name in (*outputs, *parameters):
         if name not in variables:
             raise FmuError(f"the FMU has no variable '{name}'", where=where, fix=suggestion(name, variables))
-    driven = {
-        n: _converted(reference.columns[n], reference.units.get(n), variables[n].unit, f"{where}: '{n}'")
-        for n in inputs
-    }
+
+    def converted(name: str, values: FloatArray, source: str | None, target: str | None) -> FloatArray:
+        # Values without a stated unit are assumed to be in the other's.
+        return conversion_at(source or None, target or None, f"{where}: '{name}'")(values)
+
+    driven = {n: converted(n, reference.columns[n], reference.units.get(n), variables[n].unit) for n in inputs}
     # At an event with two rows at one time, the last row is used as input.
     last = np.append(np.diff(reference.time) > 0, True)
     task = Task(
@@ -214,15 +216,7 @@ def _simulated(
         interpolation,
     )
     columns = {
-        n: _converted(values, variables[n].unit, reference.units.get(n), f"{where}: '{n}'")
+        n: converted(n, values, variables[n].unit, reference.units.get(n))
         for n, values in zip(outputs, simulated(runner, simulator, task, {}), strict=True)
     }
     return Table(reference.time[last], columns, {n: u for n, u in reference.units.items() if n in columns})
-
-
-def _converted(values: FloatArray, source: str | None, target: str | None, where: str) -> FloatArray:
-    """Return `values` in the target unit; values without a stated unit are assumed to be in it already."""
-    try:
-        return conversion(source, target)(values) if source and target else values
-    except UnitError as error:
-        raise UnitError(error.what, where=where, fix=error.fix) from None

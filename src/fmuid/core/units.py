@@ -111,6 +111,16 @@ def convertible(unit: str, other: str) -> bool:
     return True
 
 
+def conversion_at(source: str | None, target: str | None, where: object) -> Conversion:
+    """Return the conversion between units, the identity if `source` is unknown; errors name `where`."""
+    if source is None:
+        return Conversion()
+    try:
+        return conversion(source, target)
+    except UnitError as error:
+        raise UnitError(error.what, where=where, fix=error.fix) from None
+
+
 def convert_factor(source: str, target: str | None, *, where: object = None) -> float:
     """Return the factor of `conversion`, for values that cannot have an offset.
 
@@ -119,16 +129,10 @@ def convert_factor(source: str, target: str | None, *, where: object = None) -> 
     UnitError
         As for `conversion`, with `where` in its message; or the two units differ by an offset, like degC and K.
     """
-    try:
-        convert = conversion(source, target)
-    except UnitError as error:
-        raise UnitError(error.what, where=where, fix=error.fix) from None
+    convert = conversion_at(source, target, where)
     if convert.offset:
-        raise UnitError(
-            f"'{source}' and '{target}' differ by an offset",
-            where=where,
-            fix=f"write the values in '{target}'",
-        )
+        what = f"'{source}' and '{target}' differ by an offset"
+        raise UnitError(what, where=where, fix=f"write the values in '{target}'")
     return convert.factor
 
 

@@ -12,8 +12,7 @@ from fmuid.core.campaign import Campaign, Limit, ModelSpec
 from fmuid.core.errors import CampaignError, FmuError
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
-from fmuid.core.units import Conversion
-from fmuid.data.noise.level import conversion_at
+from fmuid.core.units import Conversion, conversion_at
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.spectrum import SetupNoise, Whitener, estimate_noise, whitener
 from fmuid.design.excitation import Bounds, Signals

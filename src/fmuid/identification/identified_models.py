@@ -9,7 +9,7 @@ from pathlib import Path
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import ProblemError
 from fmuid.core.files import write_atomically
-from fmuid.data.noise.level import conversion_at
+from fmuid.core.units import conversion_at
 from fmuid.identification.check import load_models
 from fmuid.identification.modelica_class import short_class
 from fmuid.identification.parameter_set import parameter_set

@@ -20,10 +20,9 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.core.files import check_folder, path_from, write_atomically
 from fmuid.core.formatting import once_each, shortened
 from fmuid.core.toml_tables import SCHEMAS, toml_text
-from fmuid.core.units import conversion
+from fmuid.core.units import conversion, conversion_at
 from fmuid.data.crosscheck_csv import Table
 from fmuid.data.measurements import check_measurements, write_measurements
-from fmuid.data.noise.level import conversion_at
 from fmuid.data.recordings.conversion import Run, experiment_from_table, read_run, with_repeats
 from fmuid.data.recordings.resampling import TimeBase
 from fmuid.data.table_layout import TableLayout

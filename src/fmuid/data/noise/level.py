@@ -9,10 +9,9 @@ from typing import Literal
 import numpy as np
 
 from fmuid.core.campaign import Campaign
-from fmuid.core.errors import UnitError
 from fmuid.core.experiments import NEAR_TIMES, Experiment, Measurements
 from fmuid.core.immutable import FloatArray
-from fmuid.core.units import Conversion, conversion
+from fmuid.core.units import conversion_at
 from fmuid.data.noise.resolution import quantum, repeating_variance
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.single_run import fast_variance
@@ -53,16 +52,6 @@ class NoiseLevel:
         """Return the standard deviation of the mean of `count` samples, inf where the count is zero."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(self.differing / np.asarray(count, dtype=np.float64) + self.repeating))
-
-
-def conversion_at(source: str | None, target: str | None, where: str) -> Conversion:
-    """Return the conversion between units; errors name `where`."""
-    if source is None:
-        return Conversion()
-    try:
-        return conversion(source, target)
-    except UnitError as error:
-        raise UnitError(error.what, where=where, fix=error.fix) from None
 
 
 def noise_elsewhere(campaign: Campaign, run: Experiment, signal: str, unit: str | None) -> NoiseLevel | None:

@@ -16,16 +16,9 @@ from fmuid.core.errors import CampaignError, FmuError, MeasurementsError, Proble
 from fmuid.core.experiments import Experiment
 from fmuid.core.formulas import Expression, parse
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
-from fmuid.core.units import Conversion, conversion
+from fmuid.core.units import Conversion, conversion, conversion_at
 from fmuid.data.filtering import LowPass
-from fmuid.data.noise.level import (
-    NoiseLevel,
-    conversion_at,
-    input_sigma,
-    noise_elsewhere,
-    noise_level,
-    repeated_runs,
-)
+from fmuid.data.noise.level import NoiseLevel, input_sigma, noise_elsewhere, noise_level, repeated_runs
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.identification.problem.criteria import Criterion, Target, prepare, whitened
 from fmuid.simulation.simulator import Simulator, Task
@@ -422,10 +415,10 @@ def _case(
         after=tuple(dict.fromkeys(c.variable for c in late)),
         read_after=model.read_after,
     )
-    setting = {}
+    setting, set_by_run = {}, {model.variable(name) for name in first.settings}
     for spec in campaign.parameters.values():
         variable = model.variable(spec.name)
-        if variable in variables and variable not in _own_settings(first, model):
+        if variable in variables and variable not in set_by_run:
             convert = conversion_at(spec.unit, variables[variable].unit, f"parameter '{spec.name}'")
             setting[spec.name] = (variable, convert)
     known_inputs = {n: u[: len(first.time)] for n, u in inputs.items()} | raw_inputs
@@ -502,10 +495,6 @@ def _variable(model: ModelSpec, name: str, simulator: Simulator, where: str) -> 
             fix=f"correct [models.{model.setup}] map",
         )
     return variable
-
-
-def _own_settings(experiment: Experiment, model: ModelSpec) -> frozenset[str]:
-    return frozenset(model.variable(name) for name in experiment.settings)
 
 
 def _settings(
