@@ -16,8 +16,30 @@ from fmuid.identification.solvers.parallel_searches import ParallelSearches
 from fmuid.identification.solvers.search import Link, Outcome, Search, Solver, Start, Status, StopSearch
 
 
+class Compound:
+    """A solver that is made of others."""
+
+    __slots__ = ()
+    solver: Solver
+
+    @property
+    def parts(self) -> tuple[Solver, ...]:
+        """The solvers that it is made of: by default, `solver`."""
+        return (self.solver,)
+
+    @property
+    def needs_residuals(self) -> bool:
+        """Whether any part needs residuals."""
+        return any(part.needs_residuals for part in self.parts)
+
+    def check(self, problem: Problem) -> None:
+        """See `Solver.check`."""
+        for part in self.parts:
+            part.check(problem)
+
+
 @dataclass(frozen=True, slots=True)
-class Chain:
+class Chain(Compound):
     """Several solvers in sequence, each from the best point so far: global, then local.
 
     Each gets an equal share of the remaining budget; the last one gets all of it.
@@ -31,14 +53,9 @@ class Chain:
         return " > ".join(link.name for link in self.links)
 
     @property
-    def needs_residuals(self) -> bool:
-        """Whether any link needs residuals."""
-        return any(link.needs_residuals for link in self.links)
-
-    def check(self, problem: Problem) -> None:
-        """See `Solver.check`."""
-        for link in self.links:
-            link.check(problem)
+    def parts(self) -> tuple[Solver, ...]:
+        """The links."""
+        return self.links
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
@@ -60,7 +77,7 @@ class Chain:
 
 
 @dataclass(frozen=True, slots=True)
-class MultiStart:
+class MultiStart(Compound):
     """The same solver from several starts: the given start, and a scrambled Sobol sequence within the bounds.
 
     The starts depend on the seed only, and the searches run in parallel (`parallel_searches`). The outcome of each
@@ -75,14 +92,9 @@ class MultiStart:
         """Number of starts and the solver's name."""
         return f"{self.starts} x {self.solver.name}"
 
-    @property
-    def needs_residuals(self) -> bool:
-        """Whether the solver needs residuals."""
-        return self.solver.needs_residuals
-
     def check(self, problem: Problem) -> None:
         """See `Solver.check`."""
-        self.solver.check(problem)
+        Compound.check(self, problem)
         if not problem.space.bounded:
             raise ProblemError(
                 "several starts need both bounds of every free parameter",
@@ -119,7 +131,7 @@ class MultiStart:
 
 
 @dataclass(frozen=True, slots=True)
-class Lexicographic:
+class Lexicographic(Compound):
     """Minimises criteria by priority; the earlier ones keep their demands, or their best values if larger."""
 
     solver: Solver
@@ -129,15 +141,6 @@ class Lexicographic:
     def name(self) -> str:
         """The inner solver's name."""
         return f"lexicographic {self.solver.name}"
-
-    @property
-    def needs_residuals(self) -> bool:
-        """Whether the inner solver needs residuals."""
-        return self.solver.needs_residuals
-
-    def check(self, problem: Problem) -> None:
-        """See `Solver.check`."""
-        self.solver.check(problem)
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""

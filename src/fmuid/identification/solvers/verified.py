@@ -12,8 +12,8 @@ import numpy as np
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.problem.derivatives import Differences, noise_floor
-from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.solvers.compound import Compound
 from fmuid.identification.solvers.least_squares import NOTHING_MOVES, TrustRegion, meaningless
 from fmuid.identification.solvers.nlopt_solver import NloptSolver
 from fmuid.identification.solvers.search import Outcome, Search, Solver, Status, StopSearch, in_short
@@ -27,7 +27,7 @@ _PROBING = 40  # evaluations per parameter of a direct search that checks anothe
 
 
 @dataclass(frozen=True, slots=True)
-class Verified:
+class Verified(Compound):
     """A solver whose end point is checked; the search continues where another method improves the cost.
 
     A smooth sum of squares is checked by a Gauss-Newton step; along a wall of failing candidates and for other
@@ -54,15 +54,6 @@ class Verified:
     def name(self) -> str:
         """The solver's name."""
         return self.solver.name
-
-    @property
-    def needs_residuals(self) -> bool:
-        """Whether the solver needs residuals."""
-        return self.solver.needs_residuals
-
-    def check(self, problem: Problem) -> None:
-        """See `Solver.check`."""
-        self.solver.check(problem)
 
     def solve(self, search: Search, start: FloatArray) -> Outcome:
         """See `Solver.solve`."""
