@@ -378,8 +378,7 @@ def _check_signal_table(name: str, table: _SignalTable, known: Collection[str], 
         raise CampaignError(f"order is {table.order}", where=where, fix="write 1, or 2 beside derivative_of")
     if table.filter is not None and not (math.isfinite(table.filter) and table.filter > 0):
         raise CampaignError(f"filter is {table.filter:g}", where=where, fix="write a frequency in Hz")
-    if table.sigma is not None:
-        _positive("sigma", table.sigma, where)
+    _positive("sigma", table.sigma, where)
 
 
 def _signal_timing(timing: Timing, causality: Causality, where: str) -> Timing:
@@ -455,8 +454,7 @@ def _design(document: _Document, models: Collection[str], file: str) -> DesignSp
     where = f"{file} [limits]"
     limits = dict(document.limits)
     duration = limits.pop("duration", None)
-    if duration is not None:
-        _positive("duration", duration, where)
+    _positive("duration", duration, where)
     table = convert(document.design, _DesignTable, f"{file} [design]")
     where = f"{file} [design]"
     if table.setup is not None and table.setup not in models:
@@ -467,8 +465,7 @@ def _design(document: _Document, models: Collection[str], file: str) -> DesignSp
     for family in table.families:
         if family not in known:
             raise CampaignError(f"no family '{family}'", where=f"{where} families", fix=suggestion(family, known))
-    if table.sample_time is not None:
-        _positive("sample_time", table.sample_time, where)
+    _positive("sample_time", table.sample_time, where)
     if table.repeats < 1:
         raise CampaignError(f"repeats is {table.repeats}", where=where, fix="write 1 or more")
     sigma = numbers(table.sigma, f"{where} sigma")
@@ -493,14 +490,23 @@ def _limit(name: str, raw: Any, where: str) -> Limit:
     low, high = (-math.inf if table.min is None else table.min), (math.inf if table.max is None else table.max)
     if not low < high:
         raise CampaignError(f"min {low:g} is not below max {high:g}", where=where, fix="swap them")
-    if table.rate is not None:
-        _positive("rate", table.rate, where)
+    _positive("rate", table.rate, where)
     return Limit(name, low, high, math.inf if table.rate is None else table.rate, table.unit)
 
 
 def _positive(key: str, value: Any, where: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value > 0):
-        raise CampaignError(f"{key} is {value!r}", where=where, fix="write a positive number")
+    """Refuse a value that is given and not a positive number."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value is not None and not (number and math.isfinite(value) and value > 0):
+        shown = f"{value:g}" if number else repr(value)
+        raise CampaignError(f"{key} is {shown}", where=where, fix="write a positive number")
+
+
+def _check_start(value: float, of: str, bounds: _ParameterTable | ParameterSpec, where: str) -> None:
+    low, high = bounds.lower, bounds.upper
+    if not low <= value <= high:
+        what = f"start {value:g}{of} is outside [{low:g}, {high:g}]"
+        raise CampaignError(what, where=where, fix="move the start or the bounds")
 
 
 def _model(setup: str, raw: _Table, folder: Path, where: str) -> ModelSpec:
@@ -593,12 +599,7 @@ def _parameter(name: str, raw: _Table, where: str) -> ParameterSpec:
             "has starts, but one value", where=where, fix='write per = "machine" or "experiment", or remove starts'
         )
     for owner, value in starts.items():
-        if not table.lower <= value <= table.upper:
-            raise CampaignError(
-                f"start {value:g} of '{owner}' is outside [{table.lower:g}, {table.upper:g}]",
-                where=f"{where} starts",
-                fix="move the start or the bounds",
-            )
+        _check_start(value, f" of '{owner}'", table, f"{where} starts")
     keys = {**msgspec.structs.asdict(table), "prior": _prior(table, where), "starts": starts}
     keys["depends_on"] = tuple(table.depends_on)
     return ParameterSpec(name=name, **keys)
@@ -614,12 +615,7 @@ def _check_bounds(table: _ParameterTable, where: str) -> None:
             where=where,
             fix="swap them, or set free = false to keep it constant",
         )
-    if not table.lower <= table.start <= table.upper:
-        raise CampaignError(
-            f"start {table.start:g} is outside [{table.lower:g}, {table.upper:g}]",
-            where=where,
-            fix="move the start or the bounds",
-        )
+    _check_start(table.start, "", table, where)
     if table.scale == "log" and not (table.lower > 0 or (table.lower == -math.inf and table.start > 0)):
         raise CampaignError(
             f"scale is log but lower is {table.lower:g}",
@@ -785,25 +781,17 @@ def _stage(
     start = numbers(table.start, f"{where} start")
     _known(start, parameters, f"{where} start")
     for key, value in start.items():
-        spec = parameters[key]
-        if not spec.lower <= value <= spec.upper:
-            raise CampaignError(
-                f"start {value:g} of '{key}' is outside [{spec.lower:g}, {spec.upper:g}]",
-                where=where,
-                fix="move the start or the bounds",
-            )
+        _check_start(value, f" of '{key}'", parameters[key], where)
     _check_ties(table.tie, free, parameters, f"{where} tie")
     solver, options = _solver(table.solver, where)
     budget = convert(table.budget, _BudgetTable, f"{where} budget")
     pareto = None if table.pareto is None else convert(table.pareto, _ParetoTable, f"{where} pareto")
     if pareto is not None and not 2 <= pareto.points <= MAX_POINTS:
         raise CampaignError(f"pareto points is {pareto.points}", where=where, fix=f"write 2 to {MAX_POINTS}")
-    if not 0 <= table.monte_carlo <= MAX_DRAWS:
-        fix = f"write a number of draws up to {MAX_DRAWS}"
-        raise CampaignError(f"monte_carlo is {table.monte_carlo}", where=where, fix=fix)
-    if not 0 <= table.posterior <= MAX_DRAWS:
-        fix = f"write a number of draws up to {MAX_DRAWS}"
-        raise CampaignError(f"posterior is {table.posterior}", where=where, fix=fix)
+    for key, draws in (("monte_carlo", table.monte_carlo), ("posterior", table.posterior)):
+        if not 0 <= draws <= MAX_DRAWS:
+            fix = f"write a number of draws up to {MAX_DRAWS}"
+            raise CampaignError(f"{key} is {draws}", where=where, fix=fix)
     for key in ("evaluations", "seconds"):
         limit = getattr(budget, key)
         if limit is not None and not limit > 0:
@@ -869,9 +857,8 @@ def _criterion(raw: _Table, experiments: Sequence[str], measurements: Measuremen
         raise CampaignError(
             f"demand is [{good:g}, {bad:g}]", where=where, fix="write [good, bad], such as [0.5, 2.0]"
         )
-    for key, value in (("demand", bad), ("weight", table.weight)):
-        if not (math.isfinite(value) and value > 0):
-            raise CampaignError(f"{key} is {value:g}", where=where, fix="write a positive number")
+    _positive("demand", bad, where)
+    _positive("weight", table.weight, where)
     if not table.from_ < table.to:
         raise CampaignError(
             f"'from' ({table.from_:g}) is not before 'to' ({table.to:g})", where=where, fix="swap them"
