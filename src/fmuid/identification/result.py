@@ -286,7 +286,7 @@ class Result(Plottable):
 
         The run can then be found from everywhere, and can be moved together with its campaign.
         """
-        near = self.source if folder is None else _relative(self.source, folder)
+        near = self.source if folder is None else self.source and os.path.relpath(self.source, folder.resolve())
         return msgspec.json.encode(replace(self, source=near))
 
     @classmethod
@@ -310,10 +310,6 @@ class Result(Plottable):
             raise ResultError("no such file", where=file, fix="give a folder written by fmuid identify") from None
         except (msgspec.DecodeError, msgspec.ValidationError, UnicodeDecodeError) as error:
             raise ResultError(f"is not a result ({error})", where=file, fix="identify again") from None
-
-
-def _relative(source: str, folder: Path) -> str:
-    return source and os.path.relpath(source, folder.resolve())
 
 
 def _decoded(text: bytes, folder: Path) -> Result:

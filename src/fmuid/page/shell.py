@@ -47,7 +47,7 @@ class Shell:
         self._work = workspace
         self._views: dict[str, Callable[[], object]] = {
             "Prepare": lambda: PrepareView(workspace),
-            "Run": lambda: RunView(workspace, run_folder, self._look),
+            "Run": lambda: RunView(workspace, run_folder, lambda folder: self.open("Look", folder)),
             "Look": lambda: LookView(workspace, run_folder, diagnosis),
         }
         self._tabs: dict[str, Element] = {}
@@ -83,9 +83,6 @@ class Shell:
                 self._made[name] = self._views[name]()
         if hasattr(self._made[name], "opened"):
             self._made[name].opened(*shown)
-
-    def _look(self, folder: Path) -> None:
-        self.open("Look", folder)
 
     def _title(self) -> str:
         head = self._work.file.tables.get("campaign", {})

@@ -464,7 +464,12 @@ class Segmented(Wrapped):
         """Return the states found segment by segment, each starting where the last one ended, and the tasks."""
         outputs = (*self.task.outputs, *self.states)
         n, scale, guess = len(self.task.outputs), np.zeros(len(self.states)), []
-        begin = replace(self.task, time=self.task.time[:2], inputs=_first_two(self.task), outputs=self.states)
+        begin = replace(
+            self.task,
+            time=self.task.time[:2],
+            inputs={name: u[:2] for name, u in self.task.inputs.items()},
+            outputs=self.states,
+        )
         state = self.simulator.simulate(replace(begin, along=()), self.at)[:, 0]
         pieces: list[tuple[_Piece, FloatArray]] = []
         for a, b in pairwise(first):
@@ -617,10 +622,6 @@ def _bounds(time: FloatArray, counts: FloatArray, length: float, least: int) -> 
             begin = at
             yield at
     yield len(time)
-
-
-def _first_two(task: Task) -> dict[str, FloatArray]:
-    return {name: values[:2] for name, values in task.inputs.items()}
 
 
 def _solved(matrix: FloatArray, right: FloatArray, damping: float = 0.0) -> FloatArray:

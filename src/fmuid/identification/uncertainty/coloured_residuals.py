@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.data.filtering import first_order
-from fmuid.identification.problem.cases import Case
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.evaluation import Evaluation
 
@@ -127,7 +126,8 @@ def _levels(problem: Problem, best: Evaluation) -> _Levels:
 
     scale = [np.ones(rows.stop - rows.start) for rows in problem.slices]
     shown = {
-        case.id: dict(zip((c.signal for c in case.channels), y, strict=True)) for case, y in _seen(problem, best)
+        case.id: dict(zip((c.signal for c in case.channels), y, strict=True))
+        for case, y in zip(problem.cases, best.predictions, strict=True)
     }
     by_signal: dict[str, list[int]] = {}
     for k, (_, criterion) in enumerate(problem.criteria):
@@ -153,10 +153,6 @@ def _levels(problem: Problem, best: Evaluation) -> _Levels:
             for k, part in zip(members, np.split(root, np.cumsum([len(s) for s in square])[:-1]), strict=True):
                 scale[k] = part
     return _Levels(scale, least)
-
-
-def _seen(problem: Problem, best: Evaluation) -> Iterator[tuple[Case, FloatArray]]:
-    return zip(problem.cases, best.predictions, strict=True)
 
 
 def _independent(r: FloatArray) -> float:

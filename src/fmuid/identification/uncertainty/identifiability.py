@@ -143,7 +143,7 @@ def _simplest(
     candidates: list[tuple[float, FloatArray, _Write]] = []
     values = np.array([problem.space.to_model(x)[n] for n in names])
     for rows, write in ((products, _product), (sums, _sum)):
-        if not _clean(rows):
+        if any(_fraction(v) is None for v in rows.flat):
             continue
         exact = np.vectorize(lambda v: float(_fraction(v) or 0.0))(rows)
         if write is _product and np.any(values <= 0.0):
@@ -163,10 +163,6 @@ def _simplest(
     if not candidates:
         return products, _product
     return min(candidates, key=lambda c: c[0])[1:]
-
-
-def _clean(rows: FloatArray) -> bool:
-    return all(_fraction(v) is not None for v in rows.flat)
 
 
 def _fraction(value: float) -> Fraction | None:

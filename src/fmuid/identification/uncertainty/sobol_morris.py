@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -138,10 +138,7 @@ class GlobalSensitivity:
         for output in self.outputs:
             known = output.scalars[np.isfinite(output.scalars)]
             indices = {
-                name: {
-                    kind: {"value": of_kind[k].value, "half_width": of_kind[k].half_width}
-                    for kind, of_kind in output.indices.items()
-                }
+                name: {kind: asdict(of_kind[k]) for kind, of_kind in output.indices.items()}
                 for k, name in enumerate(self.names)
                 if output.indices
             }
