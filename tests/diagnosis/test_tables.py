@@ -17,7 +17,7 @@ from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import ModelSource
 from fmuid.diagnosis.verdict import Closure
 from fmuid.diagnosis_pipeline import nearly_explained
-from fmuid.discovery.terms import Quantity, table
+from fmuid.discovery.terms import Quantity, ramps, table
 from fmuid.effects.table_blocks import with_table_blocks
 from fmuid.simulation.model_source import flat_model
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
@@ -38,8 +38,8 @@ def window(temperature):
     return 80.0 * np.exp(-(((temperature - 305.0) / 3.0) ** 2))
 
 
-def diagnosed(folder, loss, *, model=None, repeats=1, runs=4):
-    """Diagnose a room that loses more heat than its model; the last run is kept for validation."""
+def diagnosed(folder, loss, *, model=None, repeats=1, runs=4, late=0):
+    """Diagnose a room that loses more heat than its model, and is read so many samples late."""
     rng = np.random.default_rng(1)
     time = STEP * np.arange(SAMPLES)
     paths = []
@@ -54,7 +54,8 @@ def diagnosed(folder, loss, *, model=None, repeats=1, runs=4):
                 heat = power[k] - 21.0 * (value - outdoors[k]) - loss(value, wind[k])
                 value += STEP / 10 * heat / 2e4
         for repeat in range(repeats):
-            seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
+            read = temperature[np.maximum(np.arange(SAMPLES) - late, 0)]
+            seen = read + 0.01 * rng.standard_normal(SAMPLES)
             rows = np.column_stack([time, power, outdoors, wind, seen])
             paths.append(folder / f"day_{run}_{repeat}.csv")
             header = "time,P [W],T_out [K],wind [m/s],T [K]"
@@ -72,8 +73,10 @@ def test_a_table_is_the_line_between_its_knots_and_constant_beyond():
     x = Quantity("p", "p", "K", 3.0, -2.0, 3.0)
     knots, values = np.array([-2.0, -0.5, 1.0, 3.0]), np.array([1.0, -1.0, 2.0, 0.5])
     at = np.linspace(-3.0, 4.0, 29)
-    courses = [term.course({"p": at}, at) for term in table(x, knots)]
-    np.testing.assert_allclose(values @ courses, np.interp(at, knots, values), atol=1e-12)
+    steps = np.diff(values, prepend=0.0)
+    for sizes, terms in ((values, table(x, knots)), (steps, ramps(x, knots))):
+        courses = [term.course({"p": at}, at) for term in terms]
+        np.testing.assert_allclose(sizes @ courses, np.interp(at, knots, values), atol=1e-12)
 
 
 TABLED = """
@@ -85,20 +88,31 @@ model Tabled "A store that loses what a table says"
   output Real T(start = -3, fixed = true);
 equation
   der(T) = P - noEvent(if abs(loss_size_1) > 0 or abs(loss_size_2) > 0 or abs(loss_size_3) > 0 then
-    loss_size_1*max(0, min(1, (0.5 - T)/2.5)) + loss_size_2*max(0, min((T - (-2))/2.5, (1.25 - T)/0.75))
-    + loss_size_3*max(0, min((T - 0.5)/0.75, 1)) else 0);
+    LAW else 0);
 end Tabled;
 """
+VALUES = """loss_size_1*max(0, min(1, (0.5 - T)/2.5)) + loss_size_2*max(0, min((T - (-2))/2.5, (1.25 - T)/0.75))
+    + loss_size_3*max(0, min((T - 0.5)/0.75, 1))"""
+INCREMENTS = """loss_size_1*1 + loss_size_2*max(0, min(1, (T - (-2))/(0.5 - (-2))))
+    + loss_size_3*max(0, min(1, (T - 0.5)/(1.25 - 0.5)))"""
 
 
-def test_the_source_of_a_corrected_model_has_tables_as_blocks_of_the_standard_library(tmp_path):
-    (tmp_path / "Tabled.mo").write_text(TABLED)
+@pytest.mark.parametrize(
+    ("law", "second", "third"),
+    [
+        (VALUES, "loss_size_2", "loss_size_3"),
+        (INCREMENTS, "loss_size_1 + loss_size_2", "loss_size_1 + loss_size_2 + loss_size_3"),
+    ],
+)
+def test_the_source_of_a_corrected_model_has_tables_as_blocks_of_the_standard_library(
+    law, second, third, tmp_path
+):
+    (tmp_path / "Tabled.mo").write_text(TABLED.replace("LAW", law))
     flat = flat_model(ModelSource(tmp_path / "Tabled.mo", "Tabled"))
     sizes = ("loss_size_1", "loss_size_2", "loss_size_3")
     changed, (block,) = with_table_blocks(flat, [("other",), sizes])
-    assert (
-        "CombiTable1Ds loss(table = [-2, loss_size_1; 0.5, loss_size_2; 1.25, loss_size_3], " in block.declaration
-    )
+    rows = f"CombiTable1Ds loss(table = [-2, loss_size_1; 0.5, {second}; 1.25, {third}], "
+    assert rows in block.declaration
     text = modelica_text(changed, "Blocks", components=[block.declaration], connections=[block.equation])
     assert "min(" not in text
     (tmp_path / "Blocks.mo").write_text(text)
@@ -111,7 +125,7 @@ def test_the_source_of_a_corrected_model_has_tables_as_blocks_of_the_standard_li
     for values in ({}, dict(zip(sizes, (3.0, -1.0, 0.5), strict=True))):
         plain, tabled = (fmuid.load_fmu(file).simulate(task, values) for file in files)
         np.testing.assert_allclose(tabled, plain, atol=1e-6)
-    assert with_table_blocks(flat, [sizes[:2]]) == (flat, ())
+    assert with_table_blocks(flat, [sizes[1:]]) == (flat, ())
 
 
 def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(tmp_path):
@@ -127,11 +141,31 @@ def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(
 
 
 @pytest.mark.slow
+def test_a_table_rises_only_where_a_monotone_one_predicts_as_well(tmp_path):
+    """Two fans that start at 299 K and 309 K."""
+    answer, out = diagnosed(
+        tmp_path,
+        lambda value, wind: 30.0 * (np.tanh((value - 299.0) / 0.8) + np.tanh((value - 309.0) / 0.8)),
+        repeats=2,
+    )
+    (learned,) = answer["refinements"]
+    values = learned["table"]["values"]
+    assert learned["table"]["monotone"] == "rising"
+    assert values == sorted(values)
+    assert answer["corrected_differs"] < 0.05
+    assert "rising table" in answer["verdict"]["text"]
+    corrected = (out / "corrected" / "RoomCorrected.mo").read_text()
+    assert "Modelica.Blocks.Tables.CombiTable1Ds" in corrected
+    assert "max(0, min(" not in corrected
+
+
+@pytest.mark.slow
 def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path):
     answer, out = diagnosed(tmp_path, lambda value, wind: window(value), repeats=2)
     (learned,) = answer["refinements"]
     assert learned["learned"]
     assert learned["id"] == "learned_table@T.balance(temperature)"
+    assert learned["table"]["monotone"] is None
     assert answer["best"]["effects"] == answer["corrected"] == [learned["id"]]
     assert answer["best"]["closure"]["held_out"] > 0.7
     assert answer["best"]["closure"]["interval"][0] > 0.0

@@ -351,6 +351,18 @@ def test_a_learned_table_is_said_and_drawn(tmp_path):
     assert (tmp_path / "figures" / "tables.png").is_file()
 
 
+def test_a_monotone_table_is_called_so_and_drawn_so():
+    axis = {"variable": "temperature", "unit": "K", "knots": [290.0, 300.0, 310.0]}
+    diagnosis = with_table(table={"axes": [axis], "values": [0.0, 2.0, 3.0], "unit": "W", "monotone": "rising"})
+    assert "Learned table: 3 rising values up to 3 W at body, for temperature from 290 to 310 K" in summary(
+        diagnosis
+    )
+    assert sentences(diagnosis)[-1].startswith("A rising table learned at body over temperature predicts it")
+    figure = tables_figure(diagnosis)
+    assert figure is not None
+    assert figure.panels[0].y.name == "learned at body, only rising"
+
+
 def test_a_refinement_is_said_under_the_name_of_its_law():
     diagnosis = with_table(id="refinement@body(temperature)", law="loss@body", learned=False)
     assert sentences(diagnosis)[-1].startswith(

@@ -166,15 +166,16 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
 def _of_table(table: Mapping[str, Any], best: Mapping[str, Any]) -> str:
     """Return a sentence on a table and what the model with it predicts."""
     over, reduction = table["variable"], _reduction(best["closure"])
+    monotone = f"{way} " if (way := table["table"].get("monotone")) else ""
     if not table["learned"]:
         return (
-            f"The plant's law has another shape than {in_words(table['law'])}: with a table over {over} that"
-            f" refines it, {reduction}."
+            f"The plant's law has another shape than {in_words(table['law'])}: with a {monotone}table over {over}"
+            f" that refines it, {reduction}."
         )
     others = [name for name in best["effects"] if name != table["id"]]
     beside = f" beside {_listed(others, 'and')}" if others else ""
     where = f"{table['port']} over {over}{beside}"
-    return f"A table learned at {where} predicts it, which is no law: with it, {reduction}."
+    return f"A {monotone}table learned at {where} predicts it, which is no law: with it, {reduction}."
 
 
 def _reduction(closure: Mapping[str, Any]) -> str:
@@ -294,7 +295,8 @@ def _tables(diagnosis: Mapping[str, Any]) -> list[Fact]:
         )
         label = "Learned table" if table["learned"] else f"Table that refines {in_words(table['law'])}"
         most = f"{sizes.max():.3g} {table['table']['unit']}"
-        lines.append(Fact(label, f"{sizes.size} values up to {most} at {table['port']}, for {reached}"))
+        monotone = f" {way}" if (way := table["table"].get("monotone")) else ""
+        lines.append(Fact(label, f"{sizes.size}{monotone} values up to {most} at {table['port']}, for {reached}"))
     if tables:
         lines.append(Fact("Closed on held-out data with the table", closure_text(diagnosis["best"]["closure"])))
     return lines

@@ -200,6 +200,8 @@ class Refinement:
         What it adds at the knots; of two variables, nested lists.
     unit
         Unit of the values.
+    trend
+        1 if it may only rise, -1 if it may only fall, 0 if neither.
     entry
         The table as an effect of a catalogue.
     """
@@ -212,6 +214,7 @@ class Refinement:
     knots: tuple[tuple[float, ...], ...]
     values: Sequence[Any]
     unit: str = ""
+    trend: int = 0
     entry: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -225,7 +228,8 @@ class Refinement:
             {"variable": name, "unit": unit, "knots": list(knots)}
             for name, unit, knots in zip(self.variables, self.units, self.knots, strict=True)
         ]
-        table = {"axes": axes, "values": list(self.values), "unit": self.unit}
+        trend = {1: "rising", -1: "falling"}.get(self.trend)
+        table = {"axes": axes, "values": list(self.values), "unit": self.unit, "monotone": trend}
         variable = " and ".join(self.variables)
         about = {"id": self.id, "law": self.effect, "learned": self.learned, "port": self.port}
         return {**about, "variable": variable, "table": table, "effect": dict(self.entry)}

@@ -180,6 +180,7 @@ def entry(effect: Effect) -> dict[str, Any]:
                 "step": u.step,
                 "unit": effect.units[u.name],
                 **({"sd": u.sd} if np.isfinite(u.sd) else {}),
+                **({"natural": True} if u.name in effect.natural else {}),
             }
             for u in effect.unknowns
         },

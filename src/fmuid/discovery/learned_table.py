@@ -1,8 +1,9 @@
 """Learned tables: a smooth table at a place, for what no law explains or where a law has another shape.
 
 A table is piecewise linear, with few knots at quantiles of what the runs reached. Its variable, or two of them,
-and the number of knots are those that predict left-out experiments. Where its place and variable are those of a
-law in the model, it refines the shape of that law.
+and the number of knots are those that predict left-out experiments. A table over one variable is monotone if a
+monotone one predicts them as well. Where its place and variable are those of a law in the model, it refines the
+shape of that law.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from itertools import islice
 from typing import TypeVar
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
@@ -26,14 +28,14 @@ from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, leaving_o
 from fmuid.diagnosis.cross_validation import HeldOut, Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
-from fmuid.diagnosis.scores import nominal_basis
+from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement
 from fmuid.discovery.find_law import noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
 from fmuid.discovery.places import Spot, inside_of, spot
 from fmuid.discovery.selection import DRIVEN, Chosen
-from fmuid.discovery.terms import Quantity, Term, table
+from fmuid.discovery.terms import Quantity, Term, ramps, table
 from fmuid.effects.effect import Effect
 from fmuid.effects.quantities import quantity_words
 from fmuid.simulation.fmu import Fmu
@@ -138,6 +140,7 @@ class _Built:
     effect: Effect
     subject: Subject
     fitted: Fitted
+    trend: int
 
     @property
     def held_out(self) -> HeldOut:
@@ -150,10 +153,14 @@ class _Built:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Proposed(Chosen):
-    """A table that has been judged as a driven input."""
+    """A table that has been judged as a driven input.
+
+    `trend` is 1 or -1 if it may only rise or only fall: its sizes are then the first value and the increments.
+    """
 
     over: tuple[Quantity, ...]
     knots: tuple[FloatArray, ...]
+    trend: int = 0
 
 
 _Table = TypeVar("_Table", _Built, _Proposed)
@@ -272,19 +279,38 @@ class _Search:
         return replace(last, fitted=leaving_out(last.subject, acting, last.fitted.fit, chords=_STEPS))
 
     def _resized(self, before: _Built) -> list[_Proposed]:
-        """Return tables of all sizes over the same variable, along the trajectories of the model that has one."""
+        """Return tables of all sizes over the same variable, along the trajectories of the model that has one.
+
+        Each size comes with any values and with monotone ones, in the direction that changes the table less.
+        """
         if len(before.over) > 1:
             return []
         (x,), values, held_out = before.over, before.fitted.fit.values, before.held_out
+        at_knots = np.array([values[n] for n in before.law.sizes])
+        trend, monotone = self._monotone(before, at_knots)
         place = self._along(before.law.spot.port.name, before.subject, values) or before.law.spot
         fine = _knots(place, x, _FINER[-1])
         proposals = []
         for knots in dict.fromkeys(_some(fine, n) for n in _FINER):
             at = fine[list(knots)]
-            sizes = np.interp(at, before.knots[0], [values[n] for n in before.law.sizes])
-            terms = _terms((x,), (at,))
-            proposals.append(_Proposed(place, terms, tuple(map(float, sizes)), held_out, 0.0, (x,), (at,)))
+            sizes = np.interp(at, before.knots[0], at_knots)
+            steps = np.diff(np.interp(at, before.knots[0], monotone), prepend=0.0)
+            for terms, of_terms, way in ((table(x, at), sizes, 0), (ramps(x, at), steps, trend)):
+                start = tuple(map(float, of_terms))
+                proposals.append(_Proposed(place, tuple(terms), start, held_out, 0.0, (x,), (at,), way))
         return proposals
+
+    def _monotone(self, built: _Built, values: FloatArray) -> tuple[int, FloatArray]:
+        """Return the direction of the monotone table that is nearest to a table, and its values at the same knots.
+
+        Values count as much as the measurements determine them.
+        """
+        names = [u.name for u in built.fitted.fit.unknowns]
+        columns = stack(built.fitted.fit.jacobian, self.outcome.subject.observed)
+        seen = np.sum(columns[:, [names.index(n) for n in built.law.sizes]] ** 2, axis=0)
+        seen = np.maximum(seen, 1e-12 * seen.max())
+        ways = {way: isotonic_regression(values, weights=seen, increasing=way > 0).x for way in (1, -1)}
+        return min(ways.items(), key=lambda item: float(seen @ (item[1] - values) ** 2))
 
     def _fitted(self, proposed: Sequence[_Proposed]) -> list[_Built]:
         """Put tables into the model, each while the others are off, and refit each with all parameters."""
@@ -293,7 +319,10 @@ class _Search:
         subject = self.outcome.subject
         beside = [subject.by_id[id] for id in self.base.effects]
         laws = [Law(p.spot, p.terms, f"{p.spot.port.name}.tried{k}") for k, p in enumerate(proposed)]
-        effects = [_effect(law, f"tried{k}@{law.spot.port.name}", "a table") for k, law in enumerate(laws)]
+        effects = [
+            _effect(law, f"tried{k}@{law.spot.port.name}", "a table", p.trend)
+            for k, (law, p) in enumerate(zip(laws, proposed, strict=True))
+        ]
         subject = with_laws(subject, self.models, self.load, effects, self.base.effects)
         begin = self.base.fit.values
         starts = [
@@ -306,7 +335,7 @@ class _Search:
             fitted = fit_effects(subject, acting, [start], tolerance=_COARSE, chords=0)
             fitted = fitted or fit_effects(subject, acting, [begin], tolerance=_COARSE, chords=0)
             if fitted is not None:
-                built.append(_Built(law, p.over, p.knots, effect, subject, fitted))
+                built.append(_Built(law, p.over, p.knots, effect, subject, fitted, p.trend))
         return built
 
     def _told(self, built: _Built, of: str = "") -> Tabulated | None:
@@ -324,7 +353,7 @@ class _Search:
         name = free_name([self.inside], port.name, word)
         law = replace(built.law, base=f"{port.name}.{name}")
         what = f"table over {words} that refines the shape of {of}" if of else f"learned table over {words}"
-        effect = _effect(law, f"{name}@{port.name}({words})", f"{port.name}: {what}")
+        effect = _effect(law, f"{name}@{port.name}({words})", f"{port.name}: {what}", built.trend)
         renamed = dict(zip(built.law.sizes, law.sizes, strict=True))
         values = {renamed.get(n, n): v for n, v in fitted.fit.values.items()}
         unknowns = tuple(replace(u, name=renamed.get(u.name, u.name)) for u in fitted.fit.unknowns)
@@ -336,6 +365,7 @@ class _Search:
         if of:
             best = replace(best, effects=best.effects[:-1], parameters=self._covering(best.parameters))
         sizes = np.array([values[n] for n in law.sizes]).reshape([len(k) for k in built.knots])
+        sizes = np.cumsum(sizes) if built.trend else sizes
         refinement = Refinement(
             effect=of or effect.id,
             id=effect.id,
@@ -345,6 +375,7 @@ class _Search:
             knots=tuple(tuple(map(float, k)) for k in built.knots),
             values=sizes.tolist(),
             unit=built.law.spot.unit,
+            trend=built.trend,
             entry=entry(effect),
         )
         return Tabulated(effect, subject, fitted, replace(best, refinements=(refinement,)))
@@ -373,12 +404,24 @@ def _better(before: Fitted, after: Fitted) -> bool:
     return decide.worth_adding(before, after) and after.held_out.mean < before.held_out.mean
 
 
-def _effect(law: Law, id: str, description: str) -> Effect:
-    """Return a table as an effect, whose values are small where nothing determines them."""
+def _effect(law: Law, id: str, description: str, trend: int) -> Effect:
+    """Return a table as an effect, whose sizes are small where nothing determines them.
+
+    With a `trend`, all sizes but the first are increments of its sign.
+    """
     effect = law.effect(id, description)
-    unknowns = tuple(replace(u, sd=law.spot.flow) for u in effect.unknowns)
-    source = "learned from the measurements"
-    return replace(effect, law=id.partition("@")[0], unknowns=unknowns, source=source)
+    first, *others = (replace(u, sd=law.spot.flow) for u in effect.unknowns)
+    others = [replace(u, lower=0.0 if trend > 0 else u.lower, upper=0.0 if trend < 0 else u.upper) for u in others]
+    steps = frozenset(u.name for u in others) if trend else frozenset()
+    trials = tuple({n: v * (trend if n in steps else 1) for n, v in trial.items()} for trial in effect.trials)
+    return replace(
+        effect,
+        law=id.partition("@")[0],
+        unknowns=(first, *others),
+        natural=steps,
+        trials=trials,
+        source="learned from the measurements",
+    )
 
 
 def _names(effect: Effect) -> frozenset[str]:
@@ -421,7 +464,10 @@ def _some(knots: FloatArray, count: int) -> tuple[int, ...]:
 
 
 def _simplest(tables: Sequence[_Table]) -> _Table:
-    """Return the table with the fewest values of those that predict left-out experiments as well as the best."""
+    """Return the table with the fewest values of those that predict left-out experiments as well as the best.
+
+    Monotone ones come first: they have less freedom, and do nothing unexpected where few measurements are.
+    """
     best = min(tables, key=lambda t: t.held_out.mean)
 
     def as_good(other: _Table) -> bool:
@@ -429,4 +475,4 @@ def _simplest(tables: Sequence[_Table]) -> _Table:
         return gained <= error
 
     alike = [t for t in tables if t is best or as_good(t)]
-    return min(alike, key=lambda t: (len(t.terms), t.held_out.mean))
+    return min(alike, key=lambda t: (not t.trend, len(t.terms), t.held_out.mean))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -282,8 +283,22 @@ def table(x: Quantity, knots: FloatArray) -> list[Term]:
 
     Beyond the knots they are constant.
     """
-    at = [f"({k:.12g})" if k < 0.0 else f"{k:.12g}" for k in knots]
+    at = _texts(knots)
     falls = [f"({b} - {x.text})/{d:.12g}" for b, d in zip(at[1:], np.diff(knots), strict=True)]
     rises = [f"({x.text} - {a})/{d:.12g}" for a, d in zip(at, np.diff(knots), strict=False)]
     sides = zip(["1", *rises], [*falls, "1"], strict=True)
     return [Term(f"max(0, min({rise}, {fall}))", _PLAIN, x) for rise, fall in sides]
+
+
+def ramps(x: Quantity, knots: FloatArray) -> list[Term]:
+    """Return a constant and the functions of a quantity that rise from 0 to 1 between two of the knots.
+
+    A table is their sum; its sizes are its first value and its increments, which have one sign if it is monotone.
+    """
+    at = _texts(knots)
+    rises = (f"max(0, min(1, ({x.text} - {a})/({b} - {a})))" for a, b in pairwise(at))
+    return [Term(text, _PLAIN, x) for text in ("1", *rises)]
+
+
+def _texts(knots: FloatArray) -> list[str]:
+    return [f"({k:.12g})" if k < 0.0 else f"{k:.12g}" for k in knots]

@@ -15,20 +15,23 @@ _SIZE = "_size_1"
 
 @dataclass(frozen=True, slots=True)
 class TableBlock:
-    """A table over one variable as a `CombiTable1Ds`: its name, knots, values at them, and variable."""
+    """A table over one variable as a `CombiTable1Ds`: its name, knots, parameters, and variable.
+
+    The parameters are the values at the knots, or the first value and the increments from knot to knot.
+    """
 
     name: str
     knots: tuple[Expression, ...]
     sizes: tuple[str, ...]
     over: Expression
+    increments: bool
 
     @property
     def declaration(self) -> str:
         """The component in Modelica."""
-        rows = (
-            f"{expression_text(knot)}, {name_text(size)}"
-            for knot, size in zip(self.knots, self.sizes, strict=True)
-        )
+        sizes = [name_text(size) for size in self.sizes]
+        values = [" + ".join(sizes[: k + 1]) for k in range(len(sizes))] if self.increments else sizes
+        rows = (f"{expression_text(knot)}, {value}" for knot, value in zip(self.knots, values, strict=True))
         hold = "Modelica.Blocks.Types.Extrapolation.HoldLastPoint"
         block = "Modelica.Blocks.Tables.CombiTable1Ds"
         return f"{block} {name_text(self.name)}(table = [{'; '.join(rows)}], extrapolation = {hold});"
@@ -76,8 +79,13 @@ def _table(total: Binary) -> TableBlock | None:
     begins: list[Expression] = []
     ends: list[Expression] = []
     over: list[Expression] = []
+    increments = False
+    rise: Expression | None
+    fall: Expression | None
     for term in _addends(total):
         match term:
+            case Binary(operator="*", left=Reference() as size, right=Literal(value=1) as rise) if not sizes:
+                fall, increments = rise, True
             case Binary(
                 operator="*",
                 left=Reference() as size,
@@ -85,14 +93,21 @@ def _table(total: Binary) -> TableBlock | None:
                     function="max", arguments=(Literal(value=0), Call(function="min", arguments=(rise, fall)))
                 ),
             ):
-                sizes.append(size.name)
+                pass
             case _:
                 return None
+        sizes.append(size.name)
         match rise:
             case Binary(operator="/", left=Binary(operator="-", left=x, right=begin)):
                 begins.append(begin)
                 over.append(x)
         match fall:
+            case Binary(
+                operator="/", left=Binary(operator="-", left=x, right=begin), right=Binary(operator="-", left=end)
+            ):
+                begins.append(begin)
+                ends.append(end)
+                over.append(x)
             case Binary(operator="/", left=Binary(operator="-", left=end, right=x)):
                 ends.append(end)
                 over.append(x)
@@ -100,7 +115,7 @@ def _table(total: Binary) -> TableBlock | None:
         return None
     if [*map(expression_text, begins[1:])] != [*map(expression_text, ends[:-1])]:
         return None
-    return TableBlock(sizes[0].removesuffix(_SIZE), (begins[0], *ends), tuple(sizes), over[0])
+    return TableBlock(sizes[0].removesuffix(_SIZE), (begins[0], *ends), tuple(sizes), over[0], increments)
 
 
 def _addends(total: Expression) -> Iterator[Expression]:

@@ -346,7 +346,9 @@ def tables_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
             Series(label, np.array(x["knots"]), row, _LAWS[min(k, len(_LAWS) - 1)])
             for k, (label, row) in enumerate(zip(labels, rows, strict=True))
         ]
-        quantity = Axis(f"{'learned' if one['learned'] else 'added'} at {one['port']}", one["table"]["unit"])
+        monotone = f", only {way}" if (way := one["table"].get("monotone")) else ""
+        what = "learned" if one["learned"] else "added"
+        quantity = Axis(f"{what} at {one['port']}{monotone}", one["table"]["unit"])
         panels.append(Panel(one["id"], Axis(x["variable"], x["unit"]), quantity, tuple(lines)))
     if not panels:
         return None
