@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from fmu_build import algebra
@@ -62,6 +62,11 @@ class _Section:
 
     def delay(self, value: Scalar, time: Scalar) -> Scalar:
         return self._scope.delay(value, time)
+
+    def transport(
+        self, inlets: tuple[SX, SX], moved: SX, points: Sequence[float], profile: Sequence[SX]
+    ) -> tuple[SX, SX]:
+        return self._scope.transport(inlets, moved, points, profile)
 
     def is_fixed(self, value: SX) -> bool:
         return self._scope.is_fixed(value)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from math import prod
 from typing import Any, Protocol
 
@@ -27,6 +28,11 @@ class History(Protocol):
 
     def delay(self, value: Scalar, time: Scalar) -> Scalar:
         """Return ``delay(value, time)``."""
+
+    def transport(
+        self, inlets: tuple[SX, SX], moved: SX, points: Sequence[float], profile: Sequence[SX]
+    ) -> tuple[SX, SX]:
+        """Return what leaves at both ends of a ``spatialDistribution()``."""
 
     def is_fixed(self, value: SX) -> bool:
         """Whether an expression depends on parameters alone."""
@@ -189,11 +195,39 @@ def _delay(e: Operators, value: Value, time: Value, most: Value = None) -> Value
     return algebra.elementwise(e.scope.delay, value, time)
 
 
+_EMPTY = Array((2,), (0.0, 1.0)), Array((2,), (0.0, 0.0))  # initial points and values
+
+
+def _spatial_distribution(
+    e: Operators, in0: Value, in1: Value, x: Value, forward: Value, *contents: Value
+) -> Value:
+    """Give what leaves at both ends of a pipe of length 1: at the end where it flows in, what enters there."""
+    given: tuple[Value, ...] = (*contents, *_EMPTY[len(contents) :])
+    points, values = given
+    if any(isinstance(v, Array) for v in (in0, in1, x, forward)):
+        raise ValueError("spatialDistribution() of arrays is not supported")
+    at, profile = algebra.scalars(points), algebra.scalars(values)
+    for point in at:
+        if isinstance(point, SX):
+            raise UnknownSizeError(point)
+    if len(at) != len(profile):
+        raise ValueError(f"{len(at)} initialPoints and {len(profile)} initialValues")
+    if len(at) < 2 or at[0] != 0 or at[-1] != 1 or any(a > b for a, b in pairwise(at)):
+        raise ValueError("initialPoints must rise from 0 to 1")
+    if any(isinstance(value, SX) and not e.scope.is_fixed(value) for value in profile):
+        raise ValueError("initialValues that vary are not supported")
+    inlets = algebra.sx(in0), algebra.sx(in1)
+    left, right = e.scope.transport(inlets, algebra.sx(x), list(map(float, at)), list(map(algebra.sx, profile)))
+    (truth,) = algebra.scalars(forward)
+    return algebra.choose(truth, inlets[0], left), algebra.choose(truth, right, inlets[1])
+
+
 BUILTIN: dict[str, Callable[..., Value]] = {
     "der": lambda e, a: algebra.elementwise(e.scope.derivative, a),
     "sample": lambda e, start, interval: e.scope.sample(algebra.scalars(start)[0], algebra.scalars(interval)[0]),
     "initial": lambda e: e.scope.initial(),
     "delay": _delay,
+    "spatialDistribution": _spatial_distribution,
     "min": _extreme(algebra.MIN),
     "max": _extreme(algebra.MAX),
     "sum": _total,
@@ -227,7 +261,7 @@ CLOCKED = frozenset(
      "firstTick")
 )  # fmt: skip
 UNSUPPORTED = CLOCKED | frozenset(
-    ("spatialDistribution", "inStream", "actualStream", "rooted", "loadResource", "transition", "initialState",
+    ("inStream", "actualStream", "rooted", "loadResource", "transition", "initialState",
      "activeState", "ticksInState", "timeInState")
 )  # fmt: skip
 CLOCKS = "clocks are not supported"
@@ -238,6 +272,7 @@ NAMED: dict[str, list[str]] = {
     "smooth": ["p", "expr"],
     "sample": ["start", "interval"],
     "delay": ["expr", "delayTime", "delayMax"],
+    "spatialDistribution": ["in0", "in1", "x", "positiveVelocity", "initialPoints", "initialValues"],
     "String": ["value", "significantDigits", "minimumLength", "leftJustified", "format"],
     "semiLinear": ["x", "positiveSlope", "negativeSlope"],
     "fill": ["s"],

@@ -65,7 +65,9 @@ class Expressions:
     outputs: Sequence[bool]
     """Which of v are outputs of the model."""
     delayed: list[SX]
-    """What ``delay()`` remembers, and for how long."""
+    """What ``delay()`` and ``spatialDistribution()`` remember, then for how long, and initial contents."""
+    moved: list[SX]
+    """How far the contents of each ``spatialDistribution()`` have moved."""
 
 
 def column(items: Sequence[SX]) -> SX:
@@ -200,6 +202,7 @@ def make_functions(graph: Graph, ports: Ports, e: Expressions, by: Slopes) -> Fu
     )
     add("asserts", environment, [column(e.asserts)])
     add("messages", environment, [column(e.shown)])
+    add("moved", environment, [column(e.moved)])
     add("delayed", environment, [column(e.delayed)])
     add_partials("delayed_partials", environment, "x u p d y z pz t", e.delayed)
     return out
@@ -223,6 +226,8 @@ class Header:
         Places of the entries, and those that are constant.
     outputs
         Which entries of v are outputs.
+    points
+        Where the initial contents of ``spatialDistribution()`` have bends or jumps.
     """
 
     sizes: Mapping[str, int]
@@ -234,6 +239,7 @@ class Header:
     shown: Sequence[int]
     slopes: Slopes
     outputs: Sequence[bool]
+    points: Sequence[float]
 
 
 # Functions that a simulation calls only at its start and at events, or for hidden derivatives: the compiler need
@@ -304,6 +310,8 @@ def c_files(functions: Functions, header: Header) -> Files:
         "",
         f"static const double MODEL_X_NOMINAL[] = {{{_numbers(header.x_nominal)}}};",
         f"static const double MODEL_Y_NOMINAL[] = {{{_numbers(header.y_nominal)}}};",
+        f"#define MODEL_NPOINT {len(header.points)}",
+        f"static const double MODEL_POINT[] = {{{_numbers(header.points)}}};",
         f"static const int MODEL_INCLUSIVE[] = {{{_integers(header.inclusive)}}};",
         f"static const int MODEL_GROUP[] = {{{_integers(header.groups)}}};",
         f"static const int MODEL_ASSERT_WARNING[] = {{{_integers(w for _, w in header.asserts)}}};",

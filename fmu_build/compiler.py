@@ -23,6 +23,7 @@ from fmu_build.model import CompiledModel
 from fmu_build.scope import ModelScope
 from fmu_build.syntax import Assign, Call, Literal, Part, Reference, WhenStatement, references
 from fmu_build.system import System, solved
+from fmu_build.transports import transports_of
 from fmu_build.variables import Declared
 
 
@@ -244,7 +245,8 @@ def _generate(
     xs: list[SX],
 ) -> CompiledModel:
     scope, flat = system.scope, system.scope.flat
-    interface = describe(system, happenings, conditions)
+    transports = transports_of(system)
+    interface = describe(system, happenings, conditions, transports.symbols)
     ports = codegen.Ports(
         scope.time,
         [s.symbol for s in system.reduced.states],
@@ -258,8 +260,11 @@ def _generate(
     )
     never = {key(scope.init): SX(0.0)}
 
+    def local(expressions: Sequence[SX]) -> list[SX]:
+        return [transports.at_outlets(e) for e in expressions] if scope.transports else list(expressions)
+
     def continuous(expressions: Sequence[SX]) -> list[SX]:
-        return codegen.as_ports(never, expressions)
+        return local(codegen.as_ports(never, expressions))
 
     of_independent = Substitution()
     dependent: list[SX] = []
@@ -269,8 +274,9 @@ def _generate(
     asserts = [system.rewrite(a.condition) for a in equations.asserts]
     shown = {v.location.index for v in interface.variables if v.causality == "output" and v.location.vector == "v"}
     outputs = [i in shown for i in range(len(interface.evaluated))]
-    remembered = [d.value for d in scope.delays.values()]
-    times = [d.time for d in scope.delays.values()]
+    delays = scope.delays.values()
+    remembered = [*(system.rewrite(d.value) for d in delays), *transports.remembered]
+    remembered += [*(system.rewrite(d.time) for d in delays), *transports.profile]
     expressions = codegen.Expressions(
         dependent=dependent,
         x_start=[s.value for s in conditions.starts],
@@ -283,23 +289,26 @@ def _generate(
         residuals=continuous(system.solution.residuals),
         indicators=continuous([system.rewrite(r.difference) for r in scope.relations]),
         init=scope.init,
-        z_new=[d.value for d in happenings.discrete],
-        x_new=happenings.states,
-        next_event=happenings.next_event,
-        terminate=happenings.terminate,
-        reinit=happenings.reinit,
+        z_new=local([d.value for d in happenings.discrete]),
+        x_new=local(happenings.states),
+        next_event=local([happenings.next_event])[0],
+        terminate=local([happenings.terminate])[0],
+        reinit=local([happenings.reinit])[0],
         asserts=continuous(asserts),
         shown=continuous([system.rewrite(v) for a in equations.asserts for v in messages.values(a.message)]),
         outputs=outputs,
-        delayed=continuous([system.rewrite(e) for e in (*remembered, *times)]),
+        delayed=continuous(remembered),
+        moved=continuous(transports.moved),
     )
     slopes = codegen.slopes_of(scope.graph, ports, expressions)
     functions = codegen.make_functions(scope.graph, ports, expressions, slopes)
-    has_events = bool(ports.z or ports.m or scope.time_events or equations.whens or scope.delays)
+    has_events = bool(
+        ports.z or ports.m or scope.time_events or equations.whens or scope.delays or scope.transports
+    )
     sizes = {
         "NX": len(ports.x), "NU": len(ports.u), "NP": len(ports.p), "ND": len(ports.d), "NZ": len(ports.z),
         "NM": len(ports.m), "NY": len(ports.y), "NV": len(interface.evaluated), "NASSERT": len(asserts),
-        "NDELAY": len(scope.delays),
+        "NDELAY": len(scope.delays), "NTRANSPORT": len(scope.transports),
         "HAS_EVENTS": int(has_events), "HAS_INITIAL": int(not conditions.explicit),
     }  # fmt: skip
     texts = [(f"{a.at}: {messages.text(a.message)}", a.warning) for a in equations.asserts]
@@ -316,6 +325,7 @@ def _generate(
             firsts,
             slopes,
             outputs,
+            transports.points,
         ),
     )
     model = CompiledModel(
@@ -326,7 +336,7 @@ def _generate(
         units=interface.units,
         experiment=flat.experiment,
         n_x=sizes["NX"], n_u=sizes["NU"], n_p=sizes["NP"], n_d=sizes["ND"], n_z=sizes["NZ"], n_m=sizes["NM"],
-        n_delay=sizes["NDELAY"], n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
+        n_delay=sizes["NDELAY"] + sizes["NTRANSPORT"], n_y=sizes["NY"], n_v=sizes["NV"], n_assert=sizes["NASSERT"],
         has_events=has_events,
         has_initial=not conditions.explicit,
         c_source=files.source,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any, Protocol
@@ -95,6 +95,11 @@ class Scope(Protocol):
 
     def delay(self, value: Scalar, time: Scalar) -> Scalar:
         """Return ``delay(value, time)``."""
+
+    def transport(
+        self, inlets: tuple[SX, SX], moved: SX, points: Sequence[float], profile: Sequence[SX]
+    ) -> tuple[SX, SX]:
+        """Return what leaves at both ends of a ``spatialDistribution()``."""
 
     def is_fixed(self, value: SX) -> bool:
         """Whether an expression depends on parameters alone."""

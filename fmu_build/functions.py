@@ -98,6 +98,9 @@ class _Frame:
     def delay(self, value: Scalar, time: Scalar) -> Scalar:
         raise ValueError("delay() is not allowed in a function")
 
+    def transport(self, *_: object) -> tuple[SX, SX]:
+        raise ValueError("spatialDistribution() is not allowed in a function")
+
     def is_fixed(self, value: SX) -> bool:
         raise AssertionError("functions are evaluated without events")
 

@@ -24,7 +24,7 @@ class Interface:
     Attributes
     ----------
     inputs
-        Symbols of u: inputs, then the values of ``delay()``.
+        Symbols of u: inputs, then the values of ``delay()`` and what belongs to ``spatialDistribution()``.
     evaluated
         Expressions of v.
     iterate_starts
@@ -40,13 +40,17 @@ class Interface:
     y_nominal: list[float]
 
 
-def describe(system: System, happenings: Events, conditions: InitialConditions) -> Interface:
+def describe(
+    system: System, happenings: Events, conditions: InitialConditions, transported: list[SX]
+) -> Interface:
     """List every declared scalar and every state derivative with its place in the vectors."""
-    return _Describer(system, happenings, conditions).run()
+    return _Describer(system, happenings, conditions, transported).run()
 
 
 class _Describer:
-    def __init__(self, system: System, happenings: Events, conditions: InitialConditions) -> None:
+    def __init__(
+        self, system: System, happenings: Events, conditions: InitialConditions, transported: list[SX]
+    ) -> None:
         self.scope = scope = system.scope
         self.aliases = system.aliases
         self.states = system.reduced.states
@@ -55,7 +59,7 @@ class _Describer:
         self.point = system.point
         declared = scope.declarations.scalars.values()
         self.inputs = [algebra.sx(d.symbol) for d in declared if d.kind == "input"]
-        delayed = [d.symbol for d in scope.delays.values()]  # follow the inputs in u
+        delayed = [d.symbol for d in scope.delays.values()]
         self.place: dict[int, Location] = {}
         parameters = scope.parameters
         for vector, symbols in (
@@ -69,7 +73,7 @@ class _Describer:
             for i, symbol in enumerate(symbols):
                 self.place[key(symbol)] = Location(vector, i)  # type: ignore[arg-type]
         states_and_inputs = (*(s.symbol for s in self.states), *self.inputs)
-        self.vector_u = [*self.inputs, *delayed]
+        self.vector_u = [*self.inputs, *delayed, *transported]
         self.known = {key(s): (i, s.name()) for i, s in enumerate(states_and_inputs)}
         self.rates = [solution.expression(s.derivative) for s in self.states]
         self.evaluated: list[SX] = []

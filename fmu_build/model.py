@@ -73,7 +73,10 @@ indicators          ENV                            g (nm): relation i is true if
                                                    ``MODEL_INCLUSIVE[i]`` is 1)
 update              ENV, init (1)                  z (nz), x (nx), next_event (1), terminate (1), reinit (1)
 asserts             ENV                            a (MODEL_NASSERT): assertion i holds iff a_i is not 0
-delayed             ENV                            what the last MODEL_NDELAY entries of u remember, then for how long
+delayed             ENV                            what the entries of u behind the inputs remember: MODEL_NDELAY values of delay(),
+                                                   then in0, in1 and x of each spatialDistribution() (MODEL_NTRANSPORT); then for
+                                                   how long, and initial contents: see ``transports.py``
+moved               ENV                            x of each spatialDistribution()
 delayed_partials    ENV, SEEDS                     directional derivative of ``delayed``
 messages            ENV                            values that the messages show (MODEL_NSHOWN); those of assertion i begin
                                                    at ``MODEL_SHOWN[i]``

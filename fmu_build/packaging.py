@@ -50,7 +50,7 @@ _OF_MODEL: Levels = (
 # ... and what does not.
 _GENERATED = {"model.c", "model_rare.c", "switches.c"}
 _RUNTIME: Levels = (
-    (_FAST, ("linear.c", "past.c")),
+    (_FAST, ("linear.c", "past.c", "transport.c")),
     (_VECTORS, ("sensitivity.c",)),
     (_PLAIN, ("directions.c", "events.c", "kinks.c", "pivoting.c", "simulate.c", "variables.c")),
     (_SELDOM, ("arrays.c", "assertions.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,38 @@ class Delayed:
     time: SX
 
 
+@dataclass(frozen=True)
+class Outlet:
+    """One end of a transport: what the runtime gives between events, so that values and derivatives are right.
+
+    Attributes
+    ----------
+    value, slope, place
+        What leaves while the medium is at `place`, and its derivative by the place.
+    jump
+        The place at which the next jump leaves.
+    """
+
+    value: SX
+    slope: SX
+    place: SX
+    jump: SX
+
+
+@dataclass(frozen=True)
+class Transport:
+    """A ``spatialDistribution()``: what enters at both ends, how far it has moved, and both outlets.
+
+    ``points`` and ``profile`` are where and what it contains at the start.
+    """
+
+    inlets: tuple[SX, SX]
+    moved: SX
+    outlets: tuple[Outlet, Outlet]
+    points: tuple[float, ...]
+    profile: tuple[SX, ...]
+
+
 class ModelScope:
     """Scope of equations; collects what the expressions need (derivatives, relations, held values)."""
 
@@ -66,6 +98,8 @@ class ModelScope:
         self.held: list[Held] = []
         self.time_events: list[SX] = []
         self.delays: dict[tuple[int, int], Delayed] = {}
+        self.transports: list[Transport] = []
+        self._transport_of: dict[tuple[float, ...], Transport] = {}
         self.left_limits: dict[int, SX] = {}  # continuous variables that pre() is applied to
         self._relation_of: dict[tuple[int, bool], SX] = {}
         self._step_of: dict[int, SX] = {}
@@ -161,7 +195,9 @@ class ModelScope:
             return self.derivative_symbol(self._derivative[key(self.integral[k])])
         if self.is_delayed({k}):
             raise self.flat.error(
-                "the derivative of delay() is needed", None, "put a filter between it and its differentiation"
+                "the derivative of delay() or spatialDistribution() is needed",
+                None,
+                "put a filter between it and its differentiation",
             )
         return None
 
@@ -267,8 +303,34 @@ class ModelScope:
         return self.delays[same].symbol
 
     def is_delayed(self, symbols: Set[int]) -> bool:
-        """Whether values of ``delay()`` are among symbols."""
-        return any(key(d.symbol) in symbols for d in self.delays.values())
+        """Whether values of ``delay()`` or ``spatialDistribution()`` are among symbols."""
+        remembered = [*(d.symbol for d in self.delays.values()), *(o.value for o in self.outlets())]
+        return any(key(symbol) in symbols for symbol in remembered)
+
+    def transport(
+        self, inlets: tuple[SX, SX], moved: SX, points: Sequence[float], profile: Sequence[SX]
+    ) -> tuple[SX, SX]:
+        """Values that leave at both ends of a transport."""
+        same = self.graph.same
+        what = (*map(same, (*inlets, moved)), *points, *map(same, profile))
+        if what in self._transport_of:
+            left, right = self._transport_of[what].outlets
+            return left.value, right.value
+        number = len(self.transports) + 1
+        left, right = (
+            Outlet(*(SX.sym(f"{name} {number} {end}") for name in ("outlet", "slope", "place", "jump")))
+            for end in ("left", "right")
+        )
+        made = Transport(inlets, moved, (left, right), tuple(points), tuple(profile))
+        self._transport_of[what] = made
+        self.transports.append(made)
+        self.relation(left.jump - moved, False)  # an event where a jump leaves
+        self.relation(moved - right.jump, False)
+        return left.value, right.value
+
+    def outlets(self) -> list[Outlet]:
+        """Both ends of all transports."""
+        return [outlet for transport in self.transports for outlet in transport.outlets]
 
     def fires(self, conditions: Iterable[SX]) -> SX:
         """Truth of a when-clause's firing: one of its conditions becomes true."""

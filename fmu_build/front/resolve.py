@@ -1541,6 +1541,9 @@ class _Known:
     def delay(self, value: Any, time: Any) -> Any:
         return SX.sym("delay")
 
+    def transport(self, *_: object) -> tuple[SX, SX]:
+        return SX.sym("outlet"), SX.sym("outlet")
+
     def is_fixed(self, value: SX) -> bool:
         return True
 

@@ -19,7 +19,8 @@ size_t lend_state(State *s, char *block) {
     LEND(s->dx, NX), LEND(s->v, NV), LEND(s->reach, NM);
     LEND(step->x0, NX), LEND(step->x1, NX), LEND(step->size, NX), LEND(step->u, NU), LEND(step->du, NU);
     for (int i = 0; i < STAGES; i++) LEND(step->k[i], NX);
-    LEND(m->time, NDELAY), LEND(m->at_start, NDELAY), LEND(m->size, NDELAY);
+    LEND(m->time, NDELAY), LEND(m->at_start, NHELD), LEND(m->size, NPAST);
+    LEND(m->low, 2 * NTRANSPORT), LEND(m->high, 2 * NTRANSPORT), LEND(m->when, 2 * NTRANSPORT);
     LEND(m->x, NX), LEND(m->dx, NX), LEND(m->u, NU);
     LEND(s->u_set, NU), LEND(s->du_set, NU), LEND(s->xs_set, NX), LEND(s->warned, model.n_asserts);
     return used;
@@ -32,7 +33,7 @@ size_t lend_instance(Instance *me, char *block) {
     size_t used = lend_state(&me->s, block);
     LEND(me->start.p, NP), LEND(me->start.u, NU), LEND(me->start.xs, NX), LEND(me->start.xs_set, NX);
     LEND(me->arg, model.sz_arg + 1), LEND(me->res, model.sz_res + 1), LEND(me->w, model.sz_w + 1);
-    LEND(me->ut, NU), LEND(me->g, NM), LEND(me->by_time, NX + NY), LEND(me->f0, NX), LEND(me->drdt, NY);
+    LEND(me->ut, NU), LEND(me->uw, NU), LEND(me->moved, NTRANSPORT), LEND(me->g, NM), LEND(me->by_time, NX + NY), LEND(me->f0, NX), LEND(me->drdt, NY);
     LEND(me->jacobian, model.J.nonzeros), LEND(me->matrix, model.J.nonzeros), LEND(me->drdy, model.R.nonzeros);
     LEND(me->initial, model.I.nonzeros);
     for (int i = 0; i < 3; i++) {

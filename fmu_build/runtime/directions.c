@@ -55,16 +55,16 @@ int delayed_expressions(Instance *me, double t, const double *x, const double *u
     me->res[0] = s.x;
     if (CALL(derivatives)) return 1;
     environment_at(me, &t, x, u);
-    double both[2 * NDELAY];
+    double both[NDELAYED];
     me->res[0] = both;
     if (CALL(delayed)) return 1;
-    memcpy(value, both, NDELAY * sizeof *value);
+    memcpy(value, both, NPAST * sizeof *value);
     if (prepare_along(me, &t, x, u, &s, both) || CALL(delayed_partials)) return 1;
-    memcpy(slope, both, NDELAY * sizeof *slope);
+    memcpy(slope, both, NPAST * sizeof *slope);
     return 0;
 }
 
-/* Derivatives along a direction of what is delayed and of the delays, 2 NDELAY numbers. */
+/* Derivatives along a direction of what is delayed, of the delays and of initial contents, NDELAYED numbers. */
 int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along) {
     return prepare_along(me, &t, x, u, s, along) || CALL(delayed_partials);
 }

@@ -19,6 +19,7 @@ const double **environment_at(Instance *me, const double *t, const double *x, co
     arg[7] = s->m;
     arg[8] = s->y;
     for (int i = 0; i < SZ_RES; i++) me->res[i] = NULL;
+    if (NTRANSPORT > 0) arg[2] = with_transports(me, u);
     return arg;
 }
 

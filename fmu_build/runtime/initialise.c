@@ -154,7 +154,8 @@ static Status initialise_once(Instance *me) {
 
 /* The same until the values of delay() are those that they delay. */
 Status initialise(Instance *me) {
-    int settled = NDELAY == 0;
+    int settled = NPAST == 0;
+    me->s.memory.rows = 0;
     Status status = initialise_once(me);
     for (int round = 0; round < 100 && status <= STATUS_WARNING; round++) {
         if (round > 0) status = initialise_once(me);

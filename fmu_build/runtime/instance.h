@@ -53,6 +53,7 @@ typedef struct {
     size_t first_row, rows;
     double until, event, own_next;              /* how far it reaches; time of the last event; the model's next one */
     double *time, *at_start, *size;
+    double *low, *high, *when; /* by outlet: between which places no jump leaves, and when the next one entered */
     double *x, *dx, *u; /* at `until`, in model exchange */
 } Memory;
 
@@ -99,6 +100,7 @@ struct Instance {
     casadi_int iw[1];
     double *w;
     double *ut, *g;
+    double *uw, *moved; /* u with what leaves spatialDistribution(), and how far the contents have moved */
     /* of [dx; r] at the beginning of the step: by [x; y], and by t with the slopes of the inputs */
     double *jacobian, *by_time, *f0;
     double *matrix, *drdy, *drdt;
@@ -205,6 +207,9 @@ int delayed_expressions(Instance *me, double t, const double *x, const double *u
 int delayed_along(Instance *me, double t, const double *x, const double *u, Direction *s, double *along);
 double delayed_slope(const Instance *me, int k, double t, int after);
 int jump_due(const Instance *me, double *past);
+
+/* transport.c */
+const double *with_transports(Instance *me, const double *u);
 
 /* dense_output.c */
 void dense_output(const Step *step, double t, double *x);

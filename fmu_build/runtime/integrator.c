@@ -178,7 +178,7 @@ Status integrate_step(Instance *me, double target, int exact) {
     if (step->fresh || exact) limit = fmin(limit, target);
     step->event = 0;
     Status status = advance_sensitivities(me, t, 0);
-    if (NDELAY > 0 && status <= STATUS_WARNING) status = remember(me, t);
+    if (NPAST > 0 && status <= STATUS_WARNING) status = remember(me, t);
     if (status > STATUS_WARNING) return status;
     memcpy(step->x0, step->x1, BYTES(NX));
     step->t0 = t;

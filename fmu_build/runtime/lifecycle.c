@@ -93,7 +93,7 @@ Status restore_state(Instance *me, const void *copy) {
     if (!from) return report(me, STATUS_ERROR, "no FMU state to set");
     const size_t own = sensitivities_size(me);
     const char *arrays = (const char *)(from + 1), *behind = arrays + bytes_of_arrays();
-    if ((NDELAY > 0 ? !from->sensitivities != !own : from->sensitivities != own) || (own > 0 && restore_sensitivities(me, behind)))
+    if ((NPAST > 0 ? !from->sensitivities != !own : from->sensitivities != own) || (own > 0 && restore_sensitivities(me, behind)))
         return report(me, STATUS_ERROR, "the FMU state has not these sensitivities: reset instead");
     copy_scalars(&from->s, &me->s, me->s.block);
     memcpy(me->s.block, arrays, bytes_of_arrays());
@@ -122,7 +122,7 @@ Status deserialise(const Instance *me, const char *bytes, size_t size, void **st
     if (size < serialised_size(NULL) || memcmp(bytes, model.guid, bytes_of_guid()) != 0)
         return report(me, STATUS_ERROR, "these bytes are not a state of this FMU");
     const size_t memory = size - serialised_size(NULL);
-    const Status status = make_room(me, state, 0, NDELAY > 0 ? memory : 0);
+    const Status status = make_room(me, state, 0, NPAST > 0 ? memory : 0);
     if (status != STATUS_OK) return status;
     Copy *to = *state;
     memcpy((char *)to + offsetof(Copy, s), bytes + bytes_of_guid(), serialised_size(to) - bytes_of_guid());

@@ -21,7 +21,7 @@ static const char *const X_NAME[] = MODEL_X_NAME;
 const Model model = {
     .identifier = MODEL_IDENTIFIER, .guid = MODEL_GUID, .default_tolerance = MODEL_TOLERANCE,
     .nx = MODEL_NX, .nu = MODEL_NU, .np = MODEL_NP, .nd = MODEL_ND, .nz = MODEL_NZ, .ndelay = MODEL_NDELAY,
-    .nm = MODEL_NM, .ny = MODEL_NY, .nv = MODEL_NV,
+    .ntransport = MODEL_NTRANSPORT, .nm = MODEL_NM, .ny = MODEL_NY, .nv = MODEL_NV,
     .has_events = MODEL_HAS_EVENTS, .has_integers = MODEL_HAS_INTEGERS, .has_initial = MODEL_HAS_INITIAL,
     .sz_arg = LARGER(MODEL_SZ_ARG, SWITCHES_SZ_ARG), .sz_res = LARGER(MODEL_SZ_RES, SWITCHES_SZ_RES),
     .sz_w = LARGER(MODEL_SZ_W, SWITCHES_SZ_W),
@@ -37,5 +37,6 @@ const Model model = {
     .variable_column = MODEL_VARIABLE_COLUMN, .is_output = MODEL_OUTPUT, .is_linear = MODEL_LINEAR,
     .constant_slope = MODEL_CONSTANT,
     .n_switches = MODEL_NSWITCH,
+    .n_points = MODEL_NPOINT, .points = MODEL_POINT,
     .J = PATTERN(J), .R = PATTERN(R), .I = PATTERN(I),
 };

@@ -17,7 +17,7 @@
 typedef struct {
     const char *identifier, *guid;
     double default_tolerance;
-    int nx, nu, np, nd, nz, ndelay, nm, ny, nv; /* see fmu_build/model.py */
+    int nx, nu, np, nd, nz, ndelay, ntransport, nm, ny, nv; /* see fmu_build/model.py */
     int has_events, has_integers, has_initial, sz_arg, sz_res, sz_w;
     int n_variables;
     const VariableEntry *variables;
@@ -33,6 +33,8 @@ typedef struct {
     const int *slope_row, *slope_column, *variable_row, *variable_column, *is_output, *is_linear;
     const double *constant_slope;
     int n_switches;
+    int n_points; /* of initial contents of spatialDistribution() */
+    const double *points;
     Pattern J, R, I; /* matrices of integrator and sensitivities, of algebraic loops, of initial equations */
 } Model;
 
@@ -41,7 +43,7 @@ extern const Model model;
 /* A file that includes model.h before is compiled for each model, with constant sizes: for small models its loops then
  * take two thirds of the time. */
 #ifdef MODEL_NX
-enum { NX = MODEL_NX, NU = MODEL_NU, NM = MODEL_NM, NY = MODEL_NY, NDELAY = MODEL_NDELAY };
+enum { NX = MODEL_NX, NU = MODEL_NU, NM = MODEL_NM, NY = MODEL_NY, NDELAY = MODEL_NDELAY, NTRANSPORT = MODEL_NTRANSPORT };
 #define SZ_RES MODEL_SZ_RES
 #define SIZE(m) MODEL_##m##_N
 #define DENSE(m) MODEL_##m##_DENSE
@@ -51,6 +53,7 @@ enum { NX = MODEL_NX, NU = MODEL_NU, NM = MODEL_NM, NY = MODEL_NY, NDELAY = MODE
 #define NM (model.nm)
 #define NY (model.ny)
 #define NDELAY (model.ndelay)
+#define NTRANSPORT (model.ntransport)
 #define SZ_RES (model.sz_res)
 #define SIZE(m) (model.m.n)
 #define DENSE(m) (model.m.dense)
@@ -59,7 +62,12 @@ enum { NX = MODEL_NX, NU = MODEL_NU, NM = MODEL_NM, NY = MODEL_NY, NDELAY = MODE
 #define ND (model.nd)
 #define NZ (model.nz)
 #define NV (model.nv)
-#define NIN (NU - NDELAY) /* the values of delay() follow the inputs in u */
+/* Behind the inputs in u: the values of delay(); what leaves spatialDistribution() at both ends, slopes, places, jumps. */
+#define NIN (NU - NDELAY - 8 * NTRANSPORT)
+#define OUTLETS (NIN + NDELAY)
+#define NHELD (NDELAY + 2 * NTRANSPORT) /* values among these */
+#define NPAST (NDELAY + 3 * NTRANSPORT) /* what is remembered */
+#define NDELAYED (NPAST + NDELAY + 2 * (model.n_points - 1) * NTRANSPORT) /* with delays and initial contents */
 #define FACTORISE(m, a, f) factorise(SIZE(m), DENSE(m), &model.m, a, f)
 #define SOLVE(m, f, b) solve(SIZE(m), DENSE(m), &model.m, f, b)
 
@@ -68,7 +76,7 @@ ModelFunction model_dependent, model_start, model_initial, model_derivatives, mo
 ModelFunction model_element_slopes, model_output_slopes, model_variables, model_move_partials, model_partials;
 ModelFunction model_variable_partials, model_loop_partials, model_dependent_partials, model_start_partials;
 ModelFunction model_initial_partials, model_indicator_partials, model_update_partials, model_indicators, model_update;
-ModelFunction model_asserts, model_messages, model_delayed, model_delayed_partials, model_switches;
+ModelFunction model_asserts, model_messages, model_moved, model_delayed, model_delayed_partials, model_switches;
 int model_laws(const double *p, casadi_int *iw, double *w);
 
 #ifdef __GNUC__

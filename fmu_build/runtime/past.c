@@ -69,22 +69,28 @@ double next_delayed_event(const Instance *me) {
     return next;
 }
 
-/* The derivative of delayed expression k along direction j. */
-double past_move(const Instance *me, int k, size_t j, double t, int after) {
-    const struct Sensitivity *q = me->sensitivity;
-    const double then = t - me->s.memory.time[k], reach = after ? then + rounding(then) : then - rounding(then);
+/* The derivative of what column k of the past had along direction j. */
+double column_move(const struct Sensitivity *q, int k, size_t j, double then, int after) {
+    const double reach = after ? then + rounding(then) : then - rounding(then);
     size_t low = 0, high = q->past.count;
     while (low < high) {
         const size_t middle = low + (high - low) / 2;
         if (nth_move(q, middle)[0] <= reach) low = middle + 1;
         else high = middle;
     }
-    if (low == 0) return q->past.start[k * q->n + j];
+    if (low == 0) return k < NDELAY ? q->past.start[k * q->n + j] : 0.0;
     const double *piece = nth_move(q, low - 1), *at = piece + 2 + q->n + 4 * k * q->n + j;
     const double a = 3.0 * fmin(fmax((then - piece[0]) / (piece[1] - piece[0]), 0.0), 1.0);
-    const double value = -(a - 1.0) * (a - 2.0) * (a - 3.0) / 6.0 * at[0] + a * (a - 2.0) * (a - 3.0) / 2.0 * at[q->n] -
-                         a * (a - 1.0) * (a - 3.0) / 2.0 * at[2 * q->n] + a * (a - 1.0) * (a - 2.0) / 6.0 * at[3 * q->n];
-    return value - delayed_slope(me, k, t, after) * q->past.time[k * q->n + j];
+    return -(a - 1.0) * (a - 2.0) * (a - 3.0) / 6.0 * at[0] + a * (a - 2.0) * (a - 3.0) / 2.0 * at[q->n] -
+           a * (a - 1.0) * (a - 3.0) / 2.0 * at[2 * q->n] + a * (a - 1.0) * (a - 2.0) / 6.0 * at[3 * q->n];
+}
+
+/* The derivative of an entry of u behind the inputs along direction j. */
+double past_move(const Instance *me, int k, size_t j, double t, int after) {
+    const struct Sensitivity *q = me->sensitivity;
+    if (k >= NDELAY) return transport_move(me, k - NDELAY, j);
+    return column_move(q, k, j, t - me->s.memory.time[k], after) -
+           delayed_slope(me, k, t, after) * q->past.time[k * q->n + j];
 }
 
 size_t memory_size(const Instance *me) { return me->s.memory.rows * ROW * sizeof(double); }

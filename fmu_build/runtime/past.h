@@ -6,7 +6,7 @@
 
 #include "collocation.h"
 
-#define ROW ((size_t)(2 + 4 * NDELAY))
+#define ROW ((size_t)(2 + 4 * NPAST))
 
 static inline double *nth_piece(const Instance *me, size_t i) { return me->remembered + (me->s.memory.first_row + i) * ROW; }
 
@@ -20,7 +20,16 @@ static inline double in_piece(const double *piece, int k, double t, double *slop
 }
 
 /* How the past moved. */
-static inline size_t width(const struct Sensitivity *q) { return 2 + q->n * (1 + 4 * NDELAY); }
+static inline size_t width(const struct Sensitivity *q) { return 2 + q->n * (1 + 4 * NPAST); }
 
 static inline double *nth_move(const struct Sensitivity *q, size_t i) { return q->past.rows + (q->past.first + i) * width(q); }
+
+/* past.c, transport.c */
+double column_move(const struct Sensitivity *q, int k, size_t j, double then, int after);
+double transport_move(const Instance *me, int entry, size_t j);
+void pass_transports(Instance *me);
+size_t oldest_inside(const Instance *me);
+Status initial_contents(Instance *me, const double *values, const double *profile,
+                        Status (*append)(Instance *, double, const double *, double, const double *));
+void initial_moves(const struct Sensitivity *q, int i, size_t j, const double *along, double *piece);
 #endif

@@ -414,6 +414,7 @@ static int follow_all_variables(Instance *me) {
     struct Sensitivity *q = me->sensitivity;
     const State *now = &me->s;
     const size_t n = q->n;
+    if (NTRANSPORT > 0) environment_at(me, &now->t, now->x, now->u);
     for (size_t j = 0; j < n; j++) {
         Direction *s = &q->along[j];
         for (int i = 0; i < NX; i++) s->x[i] = q->rest[i * n + j];

@@ -158,7 +158,7 @@ Status start_sensitivities(Instance *me) {
         double unit_start[LENGTH(NX)];
         *s = direction_in(s->x);
         for (int i = 0; i < NU; i++) s->u[i] = q->drive.seeds[i * q->n + j];
-        for (int k = 0; k < NDELAY; k++) s->u[NIN + k] = q->past.start[k * q->n + j];
+        for (int k = 0; k < NHELD; k++) s->u[NIN + k] = q->past.start[k * q->n + j];
         for (size_t i = 0; i < q->n_parameters; i++) {
             const double w = q->weights[j * q->n_parameters + i];
             if (w == 0.0) continue;
@@ -188,6 +188,7 @@ static void replace_drive(struct Sensitivity *q) {
 
 static void inputs_along(Instance *me, double t) {
     struct Sensitivity *q = me->sensitivity;
+    if (NTRANSPORT > 0) environment_at(me, &t, me->s.x, me->s.u);
     for (size_t j = 0; j < q->n; j++)
         for (int i = 0; i < NU; i++) q->along[j].u[i] = input_move(me, i, j, t);
 }
@@ -208,7 +209,6 @@ Status enter_event(Instance *me, int inside) {
         if (q->replaced) replace_drive(q);
         if (model.has_events) inputs_along(me, me->s.t); /* a communication point does not move */
     }
-    move_past_jumps(me);
     return status;
 }
 
@@ -255,13 +255,13 @@ int fmuidSetSensitivityDirections(void *instance, const unsigned *parameters, si
         q->n = n;
         q->live = calloc(slices(q), 1);
     }
-    if (q && NDELAY > 0) {
-        q->past.start = calloc((2 * NDELAY + 1) * n, sizeof(double));
-        q->past.time = q->past.start + NDELAY * n;
+    if (q && NPAST > 0) {
+        q->past.start = calloc((NHELD + NDELAY + 1) * n, sizeof(double));
+        q->past.time = q->past.start + NHELD * n;
         q->past.event = q->past.time + NDELAY * n;
         if (q->live) memset(q->live, 1, slices(q));
     }
-    if (!q || (NDELAY > 0 && !q->past.start) || !q->numbers || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
+    if (!q || (NPAST > 0 && !q->past.start) || !q->numbers || !q->parameters || !q->weights || !q->along || !q->moves || !q->apart || !q->live) {
         free_sensitivities(me);
         return report(me, STATUS_ERROR, "no memory for sensitivities");
     }

@@ -143,6 +143,7 @@ def compile_by_hand(
         "update": ([*env, init], updated),
         "asserts": (env, [vec([f(e) for f, _, _ in asserts])]),
         "messages": (env, [vec([])]),
+        "moved": (env, [vec([])]),
         "delayed": (env, [vec([])]),
         "delayed_partials": ([*env, *seeds(moving)], [vec([])]),
     }
@@ -153,7 +154,7 @@ def compile_by_hand(
     }
     lengths = {"X": nx, "U": nu, "P": np_, "D": nd, "Z": nz, "M": nm, "Y": ny, "V": nv, "ASSERT": len(asserts)}
     sizes = {f"N{letter}": n for letter, n in lengths.items()}
-    sizes |= {"HAS_EVENTS": int(bool(update or relations)), "HAS_INITIAL": 0, "NDELAY": 0}
+    sizes |= {"HAS_EVENTS": int(bool(update or relations)), "HAS_INITIAL": 0, "NDELAY": 0, "NTRANSPORT": 0}
     files = c_files(
         made,
         Header(
@@ -166,6 +167,7 @@ def compile_by_hand(
             shown=[0] * (len(asserts) + 1),
             slopes=Slopes(places(by_parameter), [], places(shown), [], [False] * nv),
             outputs=[True] * nv,
+            points=[],
         ),
     )
 
