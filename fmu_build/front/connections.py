@@ -55,7 +55,7 @@ class Connections:
                 )
             self._resolver.connected.update([*{leaf.path for leaf in left}, *{leaf.path for leaf in right}])
             for a, b in zip(left, right, strict=True):
-                self._join(a, b, written, (a.path, b.path))
+                self._join(a.towards(b), b.towards(a), written, (a.path, b.path))
         self._signals.check()
 
     def forget_unused(self, referenced: Set[str]) -> None:
@@ -86,7 +86,10 @@ class Connections:
         root = slot.scope.root
         item = self._resolver.item(root, slot.name)
         path = _Path(self._resolver, e, scope, env, is_connector(item) and root is scope.root)
-        return path.found if path.walk(item, 0) else None
+        if not path.walk(item, 0):
+            return None
+        outer = slot.element.outer and not slot.element.inner
+        return [replace(leaf, outer=True) for leaf in path.found] if outer else path.found
 
     # ---- expandable connectors
 

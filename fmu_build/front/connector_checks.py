@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fmu_build import algebra
@@ -19,11 +19,19 @@ Element = tuple[str, tuple[int, ...]]  # variable and index
 
 @dataclass(frozen=True)
 class Leaf:
-    """One side of a connection: a connector or an element of a variable, seen from inside or outside."""
+    """One side of a connection: a connector or an element of a variable, seen from inside or outside.
+
+    `outer` connectors are elsewhere: what is connected to one is seen from there.
+    """
 
     item: Instance | Var
     index: tuple[int, ...]
     outside: bool
+    outer: bool = False
+
+    def towards(self, other: Leaf) -> Leaf:
+        """Return this side as it is seen from another: a component's own connector from around the component."""
+        return replace(self, outside=False) if other.outer and not self.outer else self
 
     @property
     def path(self) -> str:
