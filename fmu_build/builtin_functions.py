@@ -32,7 +32,7 @@ class History(Protocol):
     def transport(
         self, inlets: tuple[SX, SX], moved: SX, points: Sequence[float], profile: Sequence[SX]
     ) -> tuple[SX, SX]:
-        """Return what leaves at both ends of a ``spatialDistribution()``."""
+        """Return the values at both ends of a ``spatialDistribution()``."""
 
     def is_fixed(self, value: SX) -> bool:
         """Whether an expression depends on parameters alone."""

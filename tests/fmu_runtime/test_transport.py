@@ -50,10 +50,10 @@ def leaves(t, v):
 
     def last(place, rising):
         off = (v * np.sin(s) - place) * (1 if rising else -1)
-        (found,) = np.nonzero((off[:-1] < 0) & (off[1:] >= 0))
-        if len(found) == 0:
+        (crossings,) = np.nonzero((off[:-1] < 0) & (off[1:] >= 0))
+        if len(crossings) == 0:
             return -1.0
-        i = found[-1]
+        i = crossings[-1]
         return s[i] + (s[i + 1] - s[i]) * off[i] / (off[i] - off[i + 1])
 
     x = v * np.sin(t)
