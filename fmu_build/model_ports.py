@@ -100,6 +100,11 @@ class Port:
     terms: tuple[Expression, ...] = field(default=(), repr=False)
     differences: tuple[Difference, ...] = field(default=(), repr=False)
 
+    @property
+    def added_unit(self) -> str:
+        """Unit of what a law adds: a flow, or in a loop a drop of potential."""
+        return self.units[0 if self.kind == "loop" else 1]
+
 
 def find_ports(flat: FlatModel) -> tuple[Port, ...]:
     """Return the nodes, branches and internal signals of a flat model, in the order of its declarations."""
@@ -649,8 +654,10 @@ class _Finder:
             quantities = self._of_balance(b)
             probes = {"p": (b.potential,)} if b.potential is not None else {}
             probes |= {"rate": (b.rate,)} if b.rate is not None else {}
+            differentiated, added = b.units
+            units = (added, differentiated) if b.loop else b.units
             node = Port(
-                f"{b.name}.balance", "loop" if b.loop else "node", b.domain, (), b.units, quantities, probes,
+                f"{b.name}.balance", "loop" if b.loop else "node", b.domain, (), units, quantities, probes,
                 shares=(b.share,), terms=b.terms,
             )  # fmt: skip
             yield node

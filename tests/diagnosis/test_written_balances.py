@@ -83,6 +83,27 @@ def test_the_laws_there_are_those_of_their_domains():
     assert "hardening" not in without_position
 
 
+def test_laws_of_a_loop_have_the_units_of_drops_and_currents(tmp_path):
+    catalogue = every_law(flat("Loudspeaker"), tmp_path)
+    units = {name: unit for e in catalogue.effects.values() for name, unit in e.units.items()}
+    loop = {n.removeprefix("i.balance."): u for n, u in units.items() if n.startswith("i.balance.")}
+    assert loop == {
+        "resistance": "V/(A)", "voltage_drop": "V", "voltage_drop_width": "A", "eddy": "V/(A)", "eddy_lag": "s",
+    }  # fmt: skip
+    assert catalogue.ports["i.balance"].unit == "V"
+
+
+def test_an_unknown_unit_is_left_out(tmp_path):
+    """The voltages of this coil have no units."""
+    file = tmp_path / "Coil.mo"
+    file.write_text(
+        'model Coil input Real u; output Real i(unit = "A", start = 0, fixed = true); '
+        "parameter Real L = 0.01; parameter Real R = 2; equation L*der(i) = u - R*i; end Coil;"
+    )
+    units = every_law(load(file, "Coil"), tmp_path).effects["resistance@i.balance"].units
+    assert units == {"i.balance.resistance": ""}
+
+
 @pytest.mark.parametrize(
     ("name", "port", "acts", "law", "parameter", "more"),
     [

@@ -92,7 +92,7 @@ def _port_lines(place: Place) -> list[str]:
     if moved is not None:
         added = f"{port.name}.added_{'signal' if port.kind == 'signal' else 'flow'}"
         lines += [f"input = {toml_text(added)}", "added = true", f"magnitude = {_MAGNITUDE * sizes[moved]:.3g}"]
-    lines += [f"unit = {toml_text(flow)}", ""]
+    lines += [f"unit = {toml_text(port.added_unit)}", ""]
     regimes = {}
     of = quantity_words(port.domain, potential)
     if port.kind == "node" and port.probes.get("rate"):

@@ -415,4 +415,4 @@ def curve(law: Law, values: Mapping[str, float]) -> Curve:
             shape_columns[HIDDEN] = np.full(_POINTS, used[HIDDEN])
         flow = flow + values[size] * evaluated(term.text, columns | shape_columns)
     words = ", ".join(f"{n} = {v:.3g}" for n, v in used.items())
-    return Curve(x.name, x.unit, law.spot.unit, tuple(map(float, grid)), tuple(map(float, flow)), words)
+    return Curve(x.name, x.unit, law.spot.port.added_unit, tuple(map(float, grid)), tuple(map(float, flow)), words)

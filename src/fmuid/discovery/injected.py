@@ -96,7 +96,7 @@ class Law:
 
     def formula(self, values: Mapping[str, float]) -> str:
         """Return the law with numbers and units."""
-        flow, text = self.spot.unit, ""
+        flow, text = self.spot.port.added_unit, ""
         for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True)):
             numbers = {n: f"{values[name]:.4g} {term.shapes[n].unit}" for n, name in self.shapes(k).items()}
             product = f"{abs(values[size]):.4g} {flow} * {_put_in(term.text, numbers)}"
@@ -116,7 +116,7 @@ class Law:
 
     def effect(self, id: str, description: str, starts: Mapping[str, float] | None = None) -> Effect:
         """Return the law as an effect, off at its neutral values; shapes start from their values or `starts`."""
-        flow, unit = self.spot.flow, self.spot.unit
+        flow, unit = self.spot.flow, self.spot.port.added_unit
         unknowns = [Unknown(n, 0.0, -_MOST * flow, _MOST * flow, _STEP * flow) for n in self.sizes]
         units = dict.fromkeys(self.sizes, unit)
         for k, term in enumerate(self.terms):

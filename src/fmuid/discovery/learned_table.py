@@ -374,7 +374,7 @@ class _Search:
             units=tuple(q.unit for q in built.over),
             knots=tuple(tuple(map(float, k)) for k in built.knots),
             values=sizes.tolist(),
-            unit=built.law.spot.unit,
+            unit=built.law.spot.port.added_unit,
             trend=built.trend,
             entry=entry(effect),
         )

@@ -55,11 +55,6 @@ class Spot:
     quantities: tuple[Quantity, ...] = ()
     nearby: tuple[str, ...] = ()
 
-    @property
-    def unit(self) -> str:
-        """Unit of what a law adds: a flow, or at the derivative of a current a drop of potential."""
-        return self.port.units[0 if self.port.kind == "loop" else 1]
-
 
 def inside_of(model: ModelSpec) -> FlatModel | Fmu | None:
     """Return a model's source, or its FMU for model exchange; None if it has neither."""

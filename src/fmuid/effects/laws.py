@@ -240,9 +240,9 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         step = 2e-3 * value(p.scale) if p.scale else 0.02 * first or 2e-3 * (most - least)
         numbers = {kind: first, "lower": least, "upper": most, "step": step}
         inside = ", ".join(f"{k} = {v:.6g}" for k, v in numbers.items()) + ", natural = true" * p.natural
-        lines.append(
-            f"{toml_text(parameter_names[key])} = {{ {inside}, unit = {toml_text(p.unit.format(**units))} }}"
-        )
+        known = all(units[what] for what in re.findall(r"{(\w)}", p.unit))
+        unit = toml_text(p.unit.format(**units) if known else "")
+        lines.append(f"{toml_text(parameter_names[key])} = {{ {inside}, unit = {unit} }}")
     return [*lines, ""]
 
 
