@@ -157,8 +157,8 @@ def _over_time(
         fix = "choose one, as in --columns 'time [ms]=1,...', or give --rate"
         raise MeasurementsError("has no column of times", where=path, fix=fix)
     stated = units.pop(time_name, "s")
-    unit = "s" if dated else stated
-    time = _in_seconds(columns.pop(time_name), unit, path)
+    unit = "s" if dated or not stated else stated
+    time = _checked_times(in_seconds(columns.pop(time_name), unit, path), path)
     notes += [f"time converted from {unit} to s"] if unit != "s" else []
     if not columns:
         raise MeasurementsError("has no column except time", where=path, fix="add the signals")
@@ -478,13 +478,16 @@ def _dates_as_seconds(text: str, skip: int, delimiter: str) -> tuple[str, bool]:
     return "\n".join((*lines[:skip], *(s + rest for s, (_, rest) in zip(seconds, rows, strict=True)))), True
 
 
-def _in_seconds(time: FloatArray, unit: str, path: Path) -> FloatArray:
+def in_seconds(time: FloatArray, unit: str | None, path: Path) -> FloatArray:
+    """Return times in s; raise an error if `unit` is not a unit of time."""
     try:
-        time = conversion(unit, "s")(time)
+        return conversion(unit or "s", "s")(time)
     except UnitError as error:
-        raise MeasurementsError(
-            f"time is in '{unit}', which is not a unit of time ({error.what})", where=path, fix="correct its unit"
-        ) from None
+        what = f"time is in '{unit}', which is not a unit of time ({error.what})"
+        raise MeasurementsError(what, where=path, fix="correct its unit") from None
+
+
+def _checked_times(time: FloatArray, path: Path) -> FloatArray:
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
         raise MeasurementsError(f"time is missing in sample {bad[0]}", where=path, fix="write every time, in s")

@@ -6,17 +6,9 @@ from pathlib import Path
 
 from fmuid.core.errors import MeasurementsError
 from fmuid.data import hdf5
-from fmuid.data.crosscheck_csv import TIMES
+from fmuid.data.crosscheck_csv import TIMES, in_seconds
 from fmuid.data.measurements import FORMAT
-from fmuid.data.recordings.recording import (
-    Column,
-    Recording,
-    Vector,
-    by_time_base,
-    from_columns,
-    in_seconds,
-    left_out,
-)
+from fmuid.data.recordings.recording import Column, Recording, Vector, by_time_base, from_columns, left_out
 from fmuid.data.table_layout import TableLayout
 
 

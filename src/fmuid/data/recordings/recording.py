@@ -10,10 +10,17 @@ from typing import Any
 import numpy as np
 
 from fmu_build.suggest import known_names, suggestion
-from fmuid.core.errors import MeasurementsError, UnitError
+from fmuid.core.errors import MeasurementsError
 from fmuid.core.immutable import FloatArray
-from fmuid.core.units import conversion
-from fmuid.data.crosscheck_csv import PER_MINUTE, Table, name_and_unit, per_minute_note, time_column, two_time_axes
+from fmuid.data.crosscheck_csv import (
+    PER_MINUTE,
+    Table,
+    in_seconds,
+    name_and_unit,
+    per_minute_note,
+    time_column,
+    two_time_axes,
+)
 from fmuid.data.table_layout import TableLayout, source_of
 
 _STEPS = ("Ts", "ts", "dt", "Fs", "fs")  # names of a sample time or rate
@@ -173,16 +180,6 @@ def by_time_base(vectors: Iterable[Vector], path: Path, notes: Collection[str] =
         for g in groups
     )
     return Recording(tuple(tables), tuple(notes))
-
-
-def in_seconds(time: FloatArray, unit: str | None, path: Path) -> FloatArray:
-    """Return times in s; raise an error if `unit` is not a unit of time."""
-    try:
-        return conversion(unit or "s", "s")(time)
-    except UnitError as error:
-        raise MeasurementsError(
-            f"time is in '{unit}', which is not a unit of time ({error.what})", where=path, fix="correct its unit"
-        ) from None
 
 
 def is_numeric(values: Any) -> bool:
