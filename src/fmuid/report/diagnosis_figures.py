@@ -379,39 +379,20 @@ def effects_table(
         if not refitted:
             rows.append((effect["id"], effect.get("score")))
             continue
-        interval = closure.get("interval") or (None, None)
+        closures = (closure.get("train"), closure.get("held_out"), *(closure.get("interval") or (None, None)))
         parameters = ", ".join(
             f"{name} = {p['value']:.4g}"
             + ("" if p.get("standard_error") is None else f" ± {p['standard_error']:.2g}")
             + (f" {pretty_unit(unit)}" if (unit := (units or {}).get(name)) and unit != "1" else "")
             for name, p in effect.get("parameters", {}).items()
         )
-        rows.append(
-            (
-                effect["id"],
-                effect["probability"],
-                effect.get("score"),
-                closure.get("train"),
-                closure.get("held_out"),
-                *interval,
-                parameters,
-            )
-        )
-    header = (
-        "effect",
-        "probability",
-        "score",
-        "closure, fitted",
-        "closure, held out",
-        "90 % from",
-        "to",
-        "parameters ± standard error",
-    )
+        rows.append((effect["id"], effect["probability"], effect.get("score"), *closures, parameters))
     if not refitted:
         return Table(("effect", "score"), tuple(rows), "effects-not-refitted", digits=(5, 3))
-    return Table(
-        header, tuple(rows), "effects-table", "Effects that were refitted", digits=(5, 2, 3, 2, 2, 2, 2, 5)
-    )
+    names = ("closure, fitted", "closure, held out", "90 % from", "to")
+    header = ("effect", "probability", "score", *names, "parameters ± standard error")
+    digits = (5, 2, 3, 2, 2, 2, 2, 5)
+    return Table(header, tuple(rows), "effects-table", "Effects that were refitted", digits=digits)
 
 
 def seen_table(diagnosis: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Table | None:

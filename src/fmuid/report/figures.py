@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.core.campaign import ParameterSpec
 from fmuid.core.immutable import FloatArray
-from fmuid.identification.result import Estimate
+from fmuid.identification.result import Estimate, StageResult
 from fmuid.identification.validate import RunScore
 from fmuid.report.plots.figure_data import (
     Axis,
@@ -225,14 +225,17 @@ def _parallel(
     )
 
 
-def correlation_figure(stage: str, names: Sequence[str], correlation: FloatArray) -> MapFigure:
-    """Return the correlation of the estimates of one stage."""
+def correlation_figure(stage: StageResult) -> MapFigure | None:
+    """Return the correlation of the estimates of a stage; None for fewer than two with an uncertainty."""
+    known = stage.uncertainty
+    if known is None or len(known.names) < 2:
+        return None
     return MapFigure(
-        f"correlation-{slug(stage)}",
-        f"Correlation of the estimates: {stage}",
-        tuple(names),
-        tuple(names),
-        correlation,
+        f"correlation-{slug(stage.name)}",
+        f"Correlation of the estimates: {stage.name}",
+        known.names,
+        known.names,
+        np.array(known.correlation),
         Axis("correlation"),
         (-1.0, 1.0),
         caption="Near ±1, the experiments determine only a combination of the two.",

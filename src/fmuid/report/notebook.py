@@ -35,11 +35,7 @@ def figures_of(shown: Result | Validation | Found) -> list[Figure]:
         return [f for f in (gap_figure(answer), effects_figure(answer)) if f is not None]
     if isinstance(shown, Validation):
         return _of_validation(shown)
-    return [
-        correlation_figure(s.name, s.uncertainty.names, np.array(s.uncertainty.correlation))
-        for s in shown.stages
-        if s.uncertainty is not None and len(s.uncertainty.names) > 1
-    ]
+    return list(filter(None, map(correlation_figure, shown.stages)))
 
 
 def _of_validation(validation: Validation) -> list[Figure]:

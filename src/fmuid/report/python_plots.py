@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import FmuidError
@@ -51,8 +49,8 @@ def _kinds(shown: Campaign | Result | Validation | Found) -> Mapping[str, Callab
         }
     return {
         "parameters": lambda: _parameters(shown),
-        "correlation": lambda: _correlation(shown),
-        "starts": lambda: next((f for s in shown.stages if (f := starts_figure(s)) is not None), None),
+        "correlation": lambda: next((f for f in map(correlation_figure, reversed(shown.stages)) if f), None),
+        "starts": lambda: next((f for f in map(starts_figure, shown.stages) if f), None),
         "profile": lambda: next(
             (f for s in shown.stages for f in profile_items(s) if isinstance(f, LineFigure)), None
         ),
@@ -81,14 +79,6 @@ def _parameters(result: Result) -> Figure | None:
             ordered = None if interval is None else (min(interval), max(interval))
             bars.append(Bar(e.name, 1.0, "final", ordered, f"{e.value:.4g} {e.unit or ''}".strip()))
     return BarFigure("parameters", "Parameters with 95 % intervals", tuple(bars), Axis("relative to the estimate"))
-
-
-def _correlation(result: Result) -> Figure | None:
-    stages = [s for s in result.stages if s.uncertainty is not None and len(s.uncertainty.names) > 1]
-    if not stages or stages[-1].uncertainty is None:
-        return None
-    known = stages[-1].uncertainty
-    return correlation_figure(stages[-1].name, known.names, np.array(known.correlation))
 
 
 def _overlay(validation: Validation) -> Figure | None:

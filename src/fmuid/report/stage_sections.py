@@ -43,7 +43,12 @@ def stage_section(
         details.append(figures.parallel_figure(history, specs, truths))
     if history is not None and np.isfinite(history.cost).any() and len(history.labels) > 1:
         details.append(figures.parallel_criteria_figure(history))
-    details += [starts_figure(result), _correlation(result), _criteria(result), whiteness_table(result)]
+    details += [
+        starts_figure(result),
+        figures.correlation_figure(result),
+        _criteria(result),
+        whiteness_table(result),
+    ]
     items += [*front_items(result), *profile_items(result)]
     details.append(spread_table(result))
     text = ". ".join(s[:1].upper() + s[1:] for s in (result.summary.partition(": ")[2], result.why)) + "."
@@ -123,13 +128,6 @@ def _history_figure(name: str, shown: Sequence[Overlay]) -> Figure | None:
         "residual: prediction minus measurement."
     )
     return figures.overlay_figure(f"history-{slug(name)}", title, shown, caption)
-
-
-def _correlation(result: StageResult) -> Figure | None:
-    uncertainty = result.uncertainty
-    if uncertainty is None or len(uncertainty.names) < 2:
-        return None
-    return figures.correlation_figure(result.name, uncertainty.names, np.array(uncertainty.correlation))
 
 
 def _criteria(result: StageResult) -> Table | None:
