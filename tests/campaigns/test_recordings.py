@@ -86,6 +86,16 @@ def test_parquet(tmp_path: Path) -> None:
     assert recording.notes == ("not used (not numeric): note",)
 
 
+def test_lists_in_parquet_become_one_column_per_element(tmp_path: Path) -> None:
+    parquet.write_table(pa.table({"t": [0.0, 0.1], "q [rad]": [[1.0, 2.0], [3.0, 4.0]]}), tmp_path / "run.parquet")
+    (table,) = read_recording(tmp_path / "run.parquet").tables
+    assert {name: values.tolist() for name, values in table.columns.items()} == {
+        "q[1]": [1.0, 3.0],
+        "q[2]": [2.0, 4.0],
+    }
+    assert table.units == {"q[1]": "rad", "q[2]": "rad"}
+
+
 def test_parquet_with_dates(tmp_path: Path) -> None:
     first = datetime(2026, 5, 1, 12)
     stamps = [first + timedelta(microseconds=100 * k) for k in range(4)]
