@@ -85,14 +85,6 @@ double column_move(const struct Sensitivity *q, int k, size_t j, double then, in
            a * (a - 1.0) * (a - 3.0) / 2.0 * at[2 * q->n] + a * (a - 1.0) * (a - 2.0) / 6.0 * at[3 * q->n];
 }
 
-/* The derivative of an entry of u behind the inputs along direction j. */
-double past_move(const Instance *me, int k, size_t j, double t, int after) {
-    const struct Sensitivity *q = me->sensitivity;
-    if (k >= NDELAY) return transport_move(me, k - NDELAY, j);
-    return column_move(q, k, j, t - me->s.memory.time[k], after) -
-           delayed_slope(me, k, t, after) * q->past.time[k * q->n + j];
-}
-
 size_t memory_size(const Instance *me) { return me->s.memory.rows * ROW * sizeof(double); }
 
 void copy_memory(const Instance *me, char *to) {

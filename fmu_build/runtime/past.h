@@ -26,7 +26,6 @@ static inline double *nth_move(const struct Sensitivity *q, size_t i) { return q
 
 /* past.c, transport.c */
 double column_move(const struct Sensitivity *q, int k, size_t j, double then, int after);
-double transport_move(const Instance *me, int entry, size_t j);
 void pass_transports(Instance *me);
 size_t oldest_inside(const Instance *me);
 Status initial_contents(Instance *me, const double *values, const double *profile,

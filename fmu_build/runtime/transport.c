@@ -223,7 +223,7 @@ void initial_moves(const struct Sensitivity *q, int i, size_t j, const double *a
 
 /* The derivative of an entry of u that belongs to an outlet along direction j, x held, at the point of which
  * `with_transports` was called last. */
-double transport_move(const Instance *me, int entry, size_t j) {
+static double transport_move(const Instance *me, int entry, size_t j) {
     const Memory *m = &me->s.memory;
     const struct Sensitivity *q = me->sensitivity;
     const int kind = entry / (2 * NTRANSPORT), o = entry % (2 * NTRANSPORT);
@@ -242,4 +242,12 @@ double transport_move(const Instance *me, int entry, size_t j) {
     for (size_t i = 0; i < q->past.count; i++)
         if (nth_move(q, i)[0] == m->when[o]) moved += speed * nth_move(q, i)[2 + j];
     return moved;
+}
+
+/* The derivative of an entry of u behind the inputs along direction j. */
+double past_move(const Instance *me, int k, size_t j, double t, int after) {
+    const struct Sensitivity *q = me->sensitivity;
+    if (k >= NDELAY) return transport_move(me, k - NDELAY, j);
+    return column_move(q, k, j, t - me->s.memory.time[k], after) -
+           delayed_slope(me, k, t, after) * q->past.time[k * q->n + j];
 }
