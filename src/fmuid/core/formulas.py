@@ -112,7 +112,7 @@ class Expression:
 
     def renamed(self, names: Mapping[str, str]) -> Expression:
         """Return the expression with parameters renamed; `names` maps old names to new ones."""
-        tree = _renamed(copy.deepcopy(self._tree), names)
+        tree = _with_names(copy.deepcopy(self._tree), names)
         return Expression(ast.unparse(tree), frozenset(names.get(n, n) for n in self.names), tree)
 
 
@@ -185,16 +185,16 @@ def _checked(node: ast.expr, names: set[str]) -> ast.expr:
     return node
 
 
-def _renamed(node: ast.expr, names: Mapping[str, str]) -> ast.expr:
+def _with_names(node: ast.expr, names: Mapping[str, str]) -> ast.expr:
     match node:
         case ast.Name(id=name):
             return ast.Name(id=names.get(name, name))
         case ast.BinOp(left=left, right=right):
-            node.left, node.right = _renamed(left, names), _renamed(right, names)
+            node.left, node.right = _with_names(left, names), _with_names(right, names)
         case ast.UnaryOp(operand=operand):
-            node.operand = _renamed(operand, names)
+            node.operand = _with_names(operand, names)
         case ast.Call(args=arguments):
-            node.args = [_renamed(a, names) for a in arguments]
+            node.args = [_with_names(a, names) for a in arguments]
     return node
 
 
