@@ -45,6 +45,9 @@ class _Section:
     def fires(self, conditions: Iterable[SX]) -> SX:
         return self._scope.fires(conditions)
 
+    def held_since(self, fires: SX, condition: SX) -> SX:
+        return self._scope.held_since(fires, condition)
+
     def derivative(self, value: Scalar) -> Scalar:
         return self._scope.derivative(value)
 

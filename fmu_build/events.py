@@ -120,10 +120,7 @@ class _Clauses:
 
     def _act(self, branch: Branch, fires: SX) -> None:
         for one in branch.asserts:  # a violation at an event is known from then on
-            held = self._scope.hold(f"assertion {len(self._scope.held) + 1}", SX(0.0), SX(0.0))
-            violated = if_else(fires, ca.logic_not(one.condition), held.previous)
-            self._scope.held[-1] = replace(held, value=violated)
-            self._asserts.append(replace(one, condition=ca.logic_not(held.symbol)))
+            self._asserts.append(replace(one, condition=self._scope.held_since(fires, one.condition)))
         if branch.terminate:
             self.terminate = ca.logic_or(self.terminate, fires)
         for variable, value in branch.reinit:

@@ -482,8 +482,8 @@ class Body:
         self._functions.asserts.append((holds, what, False, at))
 
     def _when(self, statement: WhenStatement) -> None:
-        fires = getattr(self._frame, "fires", None)
-        if fires is None:
+        fires, held_since = (getattr(self._frame, name, None) for name in ("fires", "held_since"))
+        if fires is None or held_since is None:
             raise self._library.error("when is not allowed in a function", statement.at)
         branches: list[tuple[SX, tuple[Any, ...]]] = []
         earlier = SX(0.0)
@@ -494,8 +494,11 @@ class Body:
             branches.append((now, statements))
         for now, statements in branches:
             before = dict(self._frame.variables)
+            asserts, self._functions.asserts = self._functions.asserts, []
             with self._evaluate.guard(now), self._evaluate.no_event():
                 self.run(statements)
+            held = [(held_since(now, holds), *rest) for holds, *rest in self._functions.asserts]
+            self._functions.asserts = [*asserts, *held]
             self._frame.variables = self._chosen(now, self._frame.variables, before)
 
     def _assert(self, statement: Assert) -> None:

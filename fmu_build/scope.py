@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -14,7 +14,7 @@ from fmu_build.errors import InputDerivativeError
 from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import FlatModel
 from fmu_build.functions import Functions
-from fmu_build.graph import SX, Graph, Substitution, key
+from fmu_build.graph import SX, Graph, Substitution, if_else, key
 from fmu_build.syntax import Assign, AssignMany, WhenStatement, walk
 from fmu_build.variables import Declarations, Declared, Parameters
 
@@ -375,6 +375,12 @@ class ModelScope:
         held = Held(symbol, self.previous_symbol(symbol), value, start)
         self.held.append(held)
         return held
+
+    def held_since(self, fires: SX, condition: SX) -> SX:
+        """Truth of: a condition held when a when-clause fired last."""
+        held = self.hold(f"assertion {len(self.held) + 1}", SX(0.0), SX(0.0))
+        self.held[-1] = replace(held, value=if_else(fires, ca.logic_not(condition), held.previous))
+        return ca.logic_not(held.symbol)
 
     def start_of(self, declared: Declared) -> SX:
         """Start attribute of a variable as an expression of parameters (0 where not given)."""

@@ -506,10 +506,10 @@ class _Flattener:
                 if not isinstance(state, Reference):
                     raise ModelicaError(f"reinit() of '{item.state.name}', which is not a state", where=item.at)
                 return [Reinit(item.at, state, expr(item.value, scope, env))]
-            case Assert():
-                return [self._assert(item, scope, env)]
-            case Terminate():
-                return [Terminate(item.at, expr(item.message, scope, env))]
+            case Assert() | Terminate() | AssignMany(targets=()):
+                (statement,) = self.resolver.statements((item,), scope, env)
+                if not isinstance(statement, AssignMany):
+                    return [statement]
         raise ModelicaError("this is not supported in a when-equation", where=item.at)
 
     def _check_assigned(self, target: Reference | None, scope: Instance) -> None:

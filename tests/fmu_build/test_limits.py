@@ -166,3 +166,20 @@ def test_an_integer_overflow_ends_the_simulation(simulate, kind, capfd):
     # By FMPy's own logger, as above.
     first = capfd.readouterr().out.splitlines()[0]
     assert first.endswith("t = 1: integer overflow: n would be 1e+10")
+
+
+@pytest.mark.parametrize("section", ["equation", "algorithm"])
+def test_what_is_printed_at_an_event_is_a_warning(simulate, capfd, section):
+    text = (
+        'impure function print input String string = ""; input String fileName = "";'
+        ' external "C" ModelicaInternal_print(string, fileName); end print;'
+        f' Real y = time; {section} when y > 0.5 then print("half, and n is " + String(2)); end when;'
+    )
+    simulate(text, ["y"], stop_time=1)
+    assert capfd.readouterr().out.count("half, and n is 2") == 1
+
+
+@pytest.mark.parametrize("section", ["equation", "algorithm"])
+def test_what_is_asserted_at_an_event_is_checked_there(tmp_path, section):
+    text = f'Real y = time; {section} when y > 0.5 then assert(y > 1, "too early"); end when;'
+    assert "too early" in failure(tmp_path, text, "y")
