@@ -84,12 +84,11 @@ class Connections:
             raise ModelicaError(f"there is no connector '{e.name}'", where=e.at,
                                 fix=World.suggest(e.parts[0].name, scope.root.slots))  # fmt: skip
         root = slot.scope.root
-        item = self._resolver.item(root, slot.name)
+        item = self._resolver.referred(root, slot.name)
         path = _Path(self._resolver, e, scope, env, is_connector(item) and root is scope.root)
         if not path.walk(item, 0):
             return None
-        outer = slot.element.outer and not slot.element.inner
-        return [replace(leaf, outer=True) for leaf in path.found] if outer else path.found
+        return [replace(leaf, outer=True) for leaf in path.found] if slot.element.outer else path.found
 
     # ---- expandable connectors
 

@@ -191,6 +191,14 @@ class Resolver:
         root.items[name] = item
         return item
 
+    def referred(self, root: Instance, name: str) -> Item:
+        """Return what a name in a class stands for: of a component that is inner and outer, the outer one."""
+        slot = root.slots[name].effective()
+        component = slot.element
+        if isinstance(component, ComponentDef) and component.inner and component.outer:
+            return self._inner(root, name, component, slot.scope) or self.item(root, name)
+        return self.item(root, name)
+
     def _item(self, root: Instance, name: str, slot: Slot) -> Item:
         component = slot.element
         assert isinstance(component, ComponentDef)
@@ -786,7 +794,7 @@ class Resolver:
             target = member
         root = target.scope.root
         self._check_outer_has(target, e, position + 1)
-        return _Path(self, e, scope, env).walk(self.item(root, target.name), position)
+        return _Path(self, e, scope, env).walk(self.referred(root, target.name), position)
 
     def _check_outer_has(self, slot: Slot, e: Reference, position: int) -> None:
         """Refuse an element that the class of an outer component lacks, whatever the inner one has."""
@@ -1283,7 +1291,7 @@ class Resolver:
                 call = self.expr(s.call, scope, env)
                 if not isinstance(call, Call):
                     raise ModelicaError("a function call is expected here", where=s.at)
-                return AssignMany(s.at, targets, call)
+                return self._printed(call) or AssignMany(s.at, targets, call)
             case Reinit():
                 return Reinit(s.at, self._target(s.state, scope, env), self.expr(s.value, scope, env))
             case Assert():
@@ -1295,6 +1303,14 @@ class Resolver:
                 return s
             case _:
                 return self._compound(s, scope, env)
+
+    def _printed(self, call: Call) -> Assert | None:
+        """Make a warning of what ``Streams.print`` prints to the terminal."""
+        function = self.functions.get(call.function)
+        if function is None or function.external is None or function.external[0] != "ModelicaInternal_print":
+            return None
+        text, *file = call.arguments
+        return None if text is None or any(file) else Assert(call.at, Literal(call.at, False), text, True)
 
     def _compound(self, s: Any, scope: Instance, env: Env) -> Any:
         """Flatten a statement that contains statements."""
@@ -1411,7 +1427,7 @@ class _Path:
                 if isinstance(subscript.value, bool):
                     continue
                 raise ModelicaError(f"'{item.name}' has a dimension of {size.name}, not of numbers", where=e.at)
-        if item.variability == "constant" and (item.owner.path is None or _in_package(item.owner)):
+        if item.variability == "constant" and (self._scope.root.function or _in_package(item.owner)):
             return resolver.pick(e.at, resolver.constant(item), subscripts)
         if item.owner.path is None:
             raise ModelicaError(f"'{item.name}' is not a constant", where=e.at)
@@ -1420,7 +1436,7 @@ class _Path:
     def _instance(self, item: Instance, position: int) -> Any:
         e, resolver = self._e, self._resolver
         if position + 1 == len(e.parts):
-            if item.root.path is None or _in_package(item):
+            if self._scope.root.function or _in_package(item):
                 return resolver._record_value(item, e.at)
             return Reference(e.at, (Part(item.path or ""),))
         name = e.parts[position + 1].name
