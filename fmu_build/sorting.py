@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -146,22 +147,26 @@ def _solve_block(
     """Solve a block; at the start its unknowns have the given values."""
     graph = scope.graph
     residuals, places = [e.residual for e in equations], [e.at for e in equations]
-    left = list(unknowns)
+    left = {key(s): s for s in unknowns}
+    inside = [_inside(graph, r, left) for r in residuals]
     order: list[tuple[SX, SX]] = []
     while True:
-        pivot = _pivot(graph, residuals, left)
+        pivot = _pivot(graph, residuals, inside)
         if pivot is None:
             break
-        row, symbol, slope = pivot
-        rest = Substitution({key(symbol): SX(0.0)})(residuals[row])
+        row, k, slope = pivot
+        symbol = left.pop(k)
+        rest = Substitution({k: SX(0.0)})(residuals[row])
         value = -rest / slope if float(slope) != -1.0 else rest
         order.append((symbol, value))
-        del residuals[row], places[row]
-        left = [s for s in left if key(s) != key(symbol)]
-        replace = Substitution({key(symbol): value})
-        residuals = [replace(r) if key(symbol) in graph.symbols(r) else r for r in residuals]
+        del residuals[row], places[row], inside[row]
+        replace = Substitution({k: value})
+        for i, others in enumerate(inside):
+            if k in others:
+                residuals[i] = replace(residuals[i])
+                inside[i] = _inside(graph, residuals[i], left)
     if left:
-        for symbol, value in _solve_rest(scope, solution, residuals, left, places):
+        for symbol, value in _solve_rest(scope, solution, residuals, list(left.values()), places):
             solution.expression.define(symbol, _started(scope, given, symbol, value))
     for symbol, value in reversed(order):
         solution.expression.define(symbol, _started(scope, given, symbol, solution.expression(value)))
@@ -171,21 +176,19 @@ def _started(scope: ModelScope, given: Mapping[int, SX], symbol: SX, value: SX) 
     return if_else(scope.starting(), given[key(symbol)], value) if key(symbol) in given else value
 
 
-def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, SX] | None:
+def _inside(graph: Graph, residual: SX, unknowns: Mapping[int, SX]) -> list[int]:
+    symbols = graph.symbols(residual)
+    return [k for k in unknowns if k in symbols]
+
+
+def _pivot(graph: Graph, residuals: list[SX], inside: list[list[int]]) -> tuple[int, int, SX] | None:
     """Cheapest (equation, unknown) whose coefficient is a number: with the fewest other terms (Markowitz)."""
-    keys = {key(s): s for s in left}
-    meets = dict.fromkeys(keys, 0)
-    rows: list[list[int]] = []
-    for residual in residuals:
-        inside = [k for k in keys if k in graph.symbols(residual)]
-        rows.append(inside)
-        for k in inside:
-            meets[k] += 1
+    meets = Counter(k for unknowns in inside for k in unknowns)
     best: tuple[int, int, int] | None = None
-    for row, inside in enumerate(rows):
+    for row, unknowns in enumerate(inside):
         gradient: Gradient | None = None
-        for k in inside:
-            cost = (len(inside) - 1) * (meets[k] - 1)
+        for k in unknowns:
+            cost = (len(unknowns) - 1) * (meets[k] - 1)
             if best is not None and cost >= best[0]:
                 continue
             if gradient is None:
@@ -194,7 +197,7 @@ def _pivot(graph: Graph, residuals: list[SX], left: list[SX]) -> tuple[int, SX, 
                 best = (cost, row, k)
     if best is None:
         return None
-    return best[1], keys[best[2]], graph.gradient(residuals[best[1]])[best[2]]
+    return best[1], best[2], graph.gradient(residuals[best[1]])[best[2]]
 
 
 def _solve_rest(
