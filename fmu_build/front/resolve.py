@@ -192,7 +192,7 @@ class Resolver:
         return item
 
     def referred(self, root: Instance, name: str) -> Item:
-        """Return what a name in a class stands for: of a component that is inner and outer, the outer one."""
+        """Return the item that a name in a class means: of a component that is inner and outer, the outer one."""
         slot = root.slots[name].effective()
         component = slot.element
         if isinstance(component, ComponentDef) and component.inner and component.outer:
