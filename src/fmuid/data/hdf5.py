@@ -92,12 +92,13 @@ def samples(dataset: Any, error: Error, where: str) -> FloatArray:
         raise error(f"has type {dtype}, not float64", where=where, fix="write it as float64")
     if dataset.ndim != 1:
         raise error(f"has shape {dataset.shape}, not (N,)", where=where, fix="write one value per sample")
+    return _read(dataset, error, where)
+
+
+def _read(dataset: Any, error: Error, where: object, name: str = "") -> FloatArray:
     if dataset.size > MAX_SAMPLES:
-        raise error(
-            f"has {dataset.size} samples, more than {MAX_SAMPLES}",
-            where=where,
-            fix="split the run or sample slower",
-        )
+        what = f"{name}has {dataset.size} samples, more than {MAX_SAMPLES}"
+        raise error(what, where=where, fix="split the run or sample slower")
     return np.asarray(dataset[()], dtype=np.float64)
 
 
@@ -130,13 +131,7 @@ def vectors(path: Path) -> tuple[str | None, dict[tuple[str, ...], StoredVector]
                 and dataset.dtype.kind in "fiub"
                 and max(dataset.shape, default=0) == dataset.size
             ):
-                if dataset.size > MAX_SAMPLES:
-                    raise MeasurementsError(
-                        f"'{'/'.join(place)}' has {dataset.size} samples, more than {MAX_SAMPLES}",
-                        where=path,
-                        fix="split the run or sample slower",
-                    )
-                values = np.asarray(dataset[()], dtype=np.float64).reshape(-1)
+                values = _read(dataset, MeasurementsError, path, f"'{'/'.join(place)}' ").reshape(-1)
                 unit = next(
                     (_text_attribute(dataset, n, path) for n in ("unit", "units") if n in dataset.attrs), None
                 )
