@@ -9,9 +9,8 @@ from typing import Any
 from fmuid.diagnosis.summary import facts, in_words, indistinct, machine_lines, sentences
 from fmuid.report import diagnosis_figures as pictures_of
 from fmuid.report.diagnosis_figures import DiagnosisPictures
-from fmuid.report.document import Document, Drawing, Item, Section, write_document
+from fmuid.report.document import Document, Drawing, Section, present, write_document
 from fmuid.report.plots import Format
-from fmuid.report.plots.figure_data import Table
 from fmuid.report.provenance_table import provenance_table
 
 _NOTHING = DiagnosisPictures()
@@ -54,11 +53,11 @@ def write_diagnosis_report(
     FmuidError
         The folder cannot be written.
     """
-    places = _present(model, pictures_of.where_table(diagnosis))
+    places = present(model, pictures_of.where_table(diagnosis))
     sections = (
         Section(
             "Before and after",
-            _present(
+            present(
                 pictures_of.before_and_after(pictures.overlays),
                 pictures_of.gap_figure(diagnosis, pictures.steps),
                 pictures_of.parameters_table(diagnosis, units),
@@ -66,18 +65,18 @@ def write_diagnosis_report(
             abreast=bool(pictures.overlays),
         ),
         Section(
-            "Where", (*places, *_present(pictures_of.excess_figure(pictures.excess))), abreast=len(places) == 2
+            "Where", (*places, *present(pictures_of.excess_figure(pictures.excess))), abreast=len(places) == 2
         ),
         Section(
             "What",
-            _present(
+            present(
                 pictures_of.effects_figure(diagnosis),
                 pictures_of.missing_figure(pictures.missing),
                 pictures_of.ports_figure(diagnosis),
                 pictures_of.effects_table(diagnosis, refitted=True, units=units),
             ),
             " ".join(f"{line}." for line in indistinct(diagnosis)),
-            _present(
+            present(
                 pictures_of.effects_table(diagnosis, refitted=False), pictures_of.seen_table(diagnosis, units)
             ),
             "Effects with scores too low for a refit"
@@ -85,11 +84,11 @@ def write_diagnosis_report(
         ),
         Section(
             "A law found",
-            _present(pictures_of.law_figure(diagnosis), pictures_of.law_table(diagnosis)),
+            present(pictures_of.law_figure(diagnosis), pictures_of.law_table(diagnosis)),
             _law(diagnosis),
         ),
-        Section("A table", _present(pictures_of.tables_figure(diagnosis)), " ".join(_tables(diagnosis))),
-        Section("Between machines", _present(pictures_of.machines_table(diagnosis)), _machines(diagnosis)),
+        Section("A table", present(pictures_of.tables_figure(diagnosis)), " ".join(_tables(diagnosis))),
+        Section("Between machines", present(pictures_of.machines_table(diagnosis)), _machines(diagnosis)),
         Section("Next experiment", (), f"{_next_experiment(diagnosis)} {_added_sensor(diagnosis)}".strip()),
         Section("Notes", (), " ".join(diagnosis.get("notes", ()))),
         Section("Provenance", (provenance_table(provenance or {}),)),
@@ -101,10 +100,6 @@ def write_diagnosis_report(
         tuple(s for s in sections if s.items or s.text),
     )
     return write_document(document, Path(out), formats)
-
-
-def _present(*items: Item | None) -> tuple[Item, ...]:
-    return tuple(i for i in items if i is not None and not (isinstance(i, Table) and not i.rows))
 
 
 def _law(diagnosis: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from fmuid.core.formatting import Fact
 from fmuid.report.interactive import specification
 from fmuid.report.plotly_js import plotly_js
 from fmuid.report.plots import Format, save_data, save_figures
-from fmuid.report.plots.figure_data import Cell, Figure, MapFigure, ParallelFigure, Table, slug, tables
+from fmuid.report.plots.figure_data import RAISED, Cell, Figure, MapFigure, ParallelFigure, Table, slug, tables
 
 _MOST_ROWS = 500  # rows of a table shown on the page
 _PLACEHOLDER = "@plotly.js@"
@@ -34,6 +34,11 @@ class Drawing:
 
 
 Item = Figure | Table | Drawing
+
+
+def present(*items: Item | None) -> tuple[Item, ...]:
+    """Return the items that there are; a table without rows is none."""
+    return tuple(i for i in items if i is not None and not (isinstance(i, Table) and not i.rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,5 +146,5 @@ def shown(cell: Cell, digits: int = 5) -> str:
     text = f"{cell:.{digits}g}" if abs(cell) < 10**digits or not float(cell).is_integer() else f"{cell:.0f}"
     if "e" in text:
         mantissa, _, exponent = text.partition("e")
-        text = f"{mantissa}·10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        text = f"{mantissa}·10" + str(int(exponent)).translate(RAISED)
     return text.replace("-", "−")

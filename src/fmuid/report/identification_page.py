@@ -14,7 +14,7 @@ from fmuid.identification.history import read_history
 from fmuid.identification.result import FEW_RUNS, LEAST_SHOWN, Estimate, Result
 from fmuid.identification.validate import RunScore, Validation, validate, within_intervals
 from fmuid.report import figures
-from fmuid.report.document import Document, Section, write_document
+from fmuid.report.document import Document, Section, present, write_document
 from fmuid.report.figures import Overlay
 from fmuid.report.friction_figures import bearing_friction
 from fmuid.report.plots import Format
@@ -210,7 +210,7 @@ def _estimates_section(result: Result, campaign: Campaign | None) -> Section:
     )
     if rest:
         items.append(Table(("source", "figure", "value"), rest, "published", "Published figures"))
-    return Section("Estimates", tuple(i for i in items if i is not None))
+    return Section("Estimates", present(*items))
 
 
 def _estimates_table(

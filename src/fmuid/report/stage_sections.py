@@ -14,7 +14,7 @@ from fmuid.identification.problem import cases as case_building
 from fmuid.identification.result import StageResult
 from fmuid.report import figures
 from fmuid.report.analysis_sections import front_items, profile_items, spread_table, starts_figure, whiteness_table
-from fmuid.report.document import Section
+from fmuid.report.document import Section, present
 from fmuid.report.figures import Overlay, StageHistory
 from fmuid.report.plots.figure_data import Figure, Role, Table, slug
 from fmuid.report.predicted import overlays
@@ -54,11 +54,7 @@ def stage_section(
     text = ". ".join(s[:1].upper() + s[1:] for s in (result.summary.partition(": ")[2], result.why)) + "."
     text += "".join(f" {str(new)[:1].upper()}{str(new)[1:]}." for new in result.new_runs)
     text += "".join(f" Warning: {w}." for w in result.warnings)
-    return Section(f"Stage {result.name}", _present(items), text, _present(details), _DETAILS)
-
-
-def _present(items: Sequence[Figure | Table | None]) -> tuple[Figure | Table, ...]:
-    return tuple(i for i in items if i is not None)
+    return Section(f"Stage {result.name}", present(*items), text, present(*details), _DETAILS)
 
 
 def search_history(result: StageResult, recorded: Recorded) -> StageHistory:

@@ -24,6 +24,7 @@ from matplotlib.ticker import LogFormatterSciNotation, ScalarFormatter
 
 from fmuid.report.plots import style
 from fmuid.report.plots.figure_data import (
+    RAISED,
     Axis,
     Bar,
     BarFigure,
@@ -67,7 +68,6 @@ _DASHES = {"solid": "-", "dash": (0, (4, 2)), "dot": (0, (1, 1.2))}
 _MARKERS = {"circle": "o", "square": "s", "diamond": "D", "triangle": "^"}
 _DATELESS: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 _FORMULA, _FACTOR = re.compile(r"10\^\{(-?\d+)\}"), re.compile(r"(?:^1)?e([-\u2212]?\d+)")
-_RAISED = str.maketrans("-\u22120123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _DPI = 200
 _WIDTH = 6.9  # inches: the text width of A4
 _MAX_CELLS_WITH_NUMBERS = 150
@@ -127,7 +127,7 @@ class _Decimals(ScalarFormatter):
 
 
 def _power(exponent: re.Match[str]) -> str:
-    return f"10{exponent[1].translate(_RAISED)}"
+    return f"10{exponent[1].translate(RAISED)}"
 
 
 def _canvas(width: float, height: float, *, constrained: bool = True) -> Canvas:

@@ -322,7 +322,7 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9_]+", "-", text.lower()).strip("-") or "panel"
 
 
-_EXPONENTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+RAISED = str.maketrans("-\u22120123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def pretty_unit(unit: str) -> str:
@@ -331,6 +331,6 @@ def pretty_unit(unit: str) -> str:
         return ""
     return re.sub(
         r"(?<=[A-Za-zΩ°%])\^?(-?\d+)",
-        lambda m: m[1].translate(_EXPONENTS),
+        lambda m: m[1].translate(RAISED),
         unit.replace(".", "·").replace("*", "·"),
     )
