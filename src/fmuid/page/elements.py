@@ -221,11 +221,9 @@ class Choice(Input):
                 text("option", words, value=key)
 
 
-def button(words: str, pressed: Callable[[], object], classes: str = "", **attributes: str | bool) -> TextElement:
+def button(words: str, pressed: Callable[[], object], classes: str = "", **attributes: str) -> TextElement:
     """Return a button."""
-    made = text(
-        "button", words, classes, type="button", **{k: v for k, v in attributes.items() if isinstance(v, str)}
-    )
+    made = text("button", words, classes, type="button", **attributes)
     made.on("click", lambda _: pressed())
     return made
 
