@@ -15,6 +15,7 @@ from fmu_build.instrument import State
 from fmuid.cli.app import run
 from fmuid.discovery.injected import of_second_order
 from fmuid.effects.effect import Effect
+from tests.diagnosis.test_tables import diagnosed as room_diagnosed
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 from tests.known_rigs.logs import Recording, drawn_factors, write_logs
 from tests.known_rigs.plant import Extra
@@ -84,6 +85,18 @@ def test_a_law_may_stand_beside_an_effect_that_explains_a_part(tmp_path):
     assert equation["modelica"] == "wall.law_size*tanh(p/wall.law_width)"
     assert equation["parameters"]["wall.law_size"]["value"] == pytest.approx(1.5, rel=0.02)
     assert equation["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
+
+
+@pytest.mark.slow
+def test_an_equation_and_the_delay_of_a_sensor_are_found_together(tmp_path):
+    """A radiator beyond a temperature, and a sensor that is read four samples late."""
+    answer, _ = room_diagnosed(tmp_path, lambda value, _: 14.0 * max(value - 303.0, 0.0), repeats=2, late=4)
+    equation = answer["law_found"]
+    assert equation["beside"] == ["delay@T"]
+    assert equation["parameters"]["T.delay"]["value"] == pytest.approx(4 * STEP, rel=0.05)
+    assert equation["modelica"] == "T.balance.law_size*max((p - 293) - T.balance.law_width, 0)/23"
+    assert equation["parameters"]["T.balance.law_width"]["value"] == pytest.approx(10.0, rel=0.02)
+    assert equation["closure"]["held_out"] > 0.95
 
 
 @pytest.mark.slow

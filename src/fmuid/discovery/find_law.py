@@ -27,12 +27,12 @@ from fmuid.diagnosis.cross_validation import NoiseDraws, advantage, closure, clo
 from fmuid.diagnosis.diagnose import Found, where_it_enters
 from fmuid.diagnosis.localisation import likelier
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
-from fmuid.diagnosis.scores import nominal_basis
+from fmuid.diagnosis.scores import nominal_basis, score_effects
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter
 from fmuid.discovery.injected import Law, entry, free_name, of_second_order, with_laws
 from fmuid.discovery.places import Spot, inside_of, names_of_places, spot
-from fmuid.discovery.selection import Chosen, Proposal, choose, instead
+from fmuid.discovery.selection import Chosen, Proposal, choose, instead, responses_to
 from fmuid.discovery.terms import HIDDEN, evaluated, names_in
 from fmuid.effects.effect import Effect
 from fmuid.simulation.fmu import Fmu
@@ -46,17 +46,29 @@ _LED_OUT = 2  # laws that are approached over growing horizons: those that fit b
 _TERMS = 3  # largest number of terms in a law
 _INTERVAL = 1.96  # standard errors: 95 %
 _POINTS = 101  # number of points of a curve
+_LATE = ("delay", "lag")  # of a signal: what a law that is no part of it may hide, and be hidden by
+_TRIED_LATE = 2  # of them, added to a law: those that promise most
 _NOTHING = 0.05  # noise floors: a gap too small to prefer one law to another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A law, refitted in the model that contains it."""
+    """A law, refitted in the model that contains it; the law is the last of the model's effects."""
 
     law: Law
     effect: Effect
     subject: Subject
     fitted: Fitted
+
+    @property
+    def beside(self) -> tuple[str, ...]:
+        """The effects beside the law."""
+        return self.fitted.effects[:-1]
+
+    @property
+    def rank(self) -> int:
+        """Complexity of the law and of the effects beside it."""
+        return self.law.rank + 2 * len(self.beside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,13 +158,13 @@ def pruned(subject: Subject, fitted: Fitted, kept: str = "") -> Fitted:
 
 
 def _likeliest(chosen: Sequence[Chosen]) -> list[Chosen]:
-    """Return the best choices with one term and with two: half by held-out loss, half by fit.
+    """Return the best choices with one member and with two: half by held-out loss, half by fit.
 
     With few experiments, leaving one out says little where the rest is far from linear.
     """
     kept: list[Chosen] = []
-    for terms, most in enumerate(_TRIED, 1):
-        of_length = [c for c in chosen if len(c.terms) == terms]
+    for members, most in enumerate(_TRIED, 1):
+        of_length = [c for c in chosen if c.members == members]
         first = sorted(of_length, key=lambda c: c.held_out.mean)[: most - most // 2]
         others = sorted((c for c in of_length if c not in first), key=lambda c: -c.drop)
         kept += [*first, *others[: most // 2]]
@@ -179,13 +191,14 @@ class _Search:
         if not spots:
             return None, "no flow can be added to the model where the gap enters"
         best: Candidate | None = None
-        while best is None or (len(best.law.terms) < _TERMS and not self.finished(best)):
-            terms = 0 if best is None else len(best.law.terms)
+        terms = 0
+        while best is None or (terms < _TERMS and not self.finished(best)):
             say(f"looking for a law at {' or '.join(s.port.name for s in spots)}", 0.955 + 0.004 * terms)
             better = self.extended(best, spots)
             if better is None:
                 break
             best, spots = better, [self.along(better)]
+            terms = len(best.law.terms) + len(best.beside) - len(self.base.effects)
         if best is None:
             return None, "no term of the library explains more than noise would"
         best = self.simplified(best)
@@ -198,8 +211,7 @@ class _Search:
         """
         place = self.along(law)
         flow = replace(law.law, spot=place).courses(law.fitted.fit.values)
-        begin = {n: v for n, v in law.fitted.fit.values.items() if n in self.base.fit.values}
-        others = self._refitted(None, instead(place, flow), begin)
+        others = self._refitted(None, instead(place, flow), law)
         return self._simplest([law, *others])
 
     def along(self, law: Candidate) -> Spot:
@@ -219,11 +231,17 @@ class _Search:
         return [s for n in names[:_PLACES] if (s := spot(n, inside, subject.model, values)) is not None]
 
     def extended(self, law: Candidate | None, spots: Sequence[Spot]) -> Candidate | None:
-        """Return the best law with a further term (one or two, if there is no law yet), if it is worth it."""
+        """Return the best law with a further term (one or two, if there is no law yet), if it is worth it.
+
+        A delay or lag of a signal may be added to a law instead of a term.
+        """
         subject = self.outcome.subject if law is None else law.subject
         before = self.base if law is None else law.fitted
-        chosen = [c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None)]
-        candidates = self._refitted(law, _likeliest(chosen))
+        late = responses_to(subject, before.fit, self._late_effects(self.base.effects)) if law is None else ()
+        chosen = [
+            c for s in spots for c in choose(subject, before.fit, s, self.noise, pairs=law is None, beside=late)
+        ]
+        candidates = [*self._refitted(law, _likeliest(chosen)), *(self._late(law) if law is not None else ())]
         if law is None and not any(self.finished(c) for c in candidates):
             candidates = sorted([*candidates, *self._from_beginnings(spots)], key=lambda c: c.fitted.fit.cost)
             candidates = [*map(self._led_out, candidates[:_LED_OUT]), *candidates[_LED_OUT:]]
@@ -231,6 +249,26 @@ class _Search:
             return None
         best = self._simplest(candidates)
         return best if decide.worth_adding(before, best.fitted) else None
+
+    def _late(self, law: Candidate) -> list[Candidate]:
+        """Return a law together with those delays and lags of signals that promise most, refitted."""
+        subject, values = self.outcome.subject, law.fitted.fit.values
+        known = self._late_effects(law.beside)
+        scores = score_effects(law.subject.model.predict, subject.observed, law.fitted.fit, known)
+        candidates = []
+        for score in (s for s in scores[:_TRIED_LATE] if s.drop > 0.0):
+            beside = (*law.beside, score.effect)
+            changed = with_laws(subject, self.models, self.load, [law.effect], beside)
+            effects = [changed.by_id[id] for id in (*beside, law.effect.id)]
+            fitted = fit_effects(changed, effects, [{**values, **trial} for trial in score.trials])
+            if fitted is not None and not decide.strained(fitted, effects[-2:]):
+                candidates.append(replace(law, subject=changed, fitted=fitted))
+        return candidates
+
+    def _late_effects(self, beside: Sequence[str]) -> list[Effect]:
+        """Return the delays and lags of signals that are not in a model yet, and that need no place in it."""
+        every = self.outcome.subject.effects
+        return [e for e in every if e.law in _LATE and not e.expression and e.id not in beside]
 
     def _from_beginnings(self, spots: Sequence[Spot]) -> list[Candidate]:
         """Return laws that explain early parts of the runs, where the model has not drifted away yet."""
@@ -256,38 +294,45 @@ class _Search:
         return replace(law, fitted=again) if again is not None and better else law
 
     def _refitted(
-        self, law: Candidate | None, chosen: Sequence[Proposal], begin: Mapping[str, float] | None = None
+        self, law: Candidate | None, chosen: Sequence[Proposal], instead_of: Candidate | None = None
     ) -> list[Candidate]:
-        """Put laws into the model, each added while the others are off, and refit each with all parameters."""
+        """Put laws into the model, each added while the others are off, and refit each with all parameters.
+
+        Each has the terms of `law` as well, or is refitted from the values of a model with another law.
+        """
         laws, starts = [], []
+        model = law or instead_of
+        beside = self.base.effects if model is None else model.beside
+        values = self.base.fit.values if model is None else model.fitted.fit.values
+        around = {n: v for n, v in values.items() if model is None or n not in model.effect.units}
         for k, one in enumerate(chosen):
             port = one.spot.port.name
             terms = (*(law.law.terms if law is not None else ()), *one.terms)
             new = Law(one.spot, terms, f"{port}.tried{k + 1}")
-            sizes = list(one.sizes)
-            values = dict(begin or self.base.fit.values)
+            sizes, start = list(one.sizes), dict(around)
             if law is not None:
-                values = {n: law.fitted.fit.values[n] for n in values}
-                sizes = [law.fitted.fit.values[n] for n in law.law.sizes] + sizes
+                sizes = [values[n] for n in law.law.sizes] + sizes
                 for i in range(len(law.law.terms)):
                     new_shapes, theirs = new.shapes(i), law.law.shapes(i)
-                    values |= {new_shapes[n]: law.fitted.fit.values[theirs[n]] for n in new_shapes}
+                    start |= {new_shapes[n]: values[theirs[n]] for n in new_shapes}
             laws.append(new)
-            starts.append(values | dict(zip(new.sizes, sizes, strict=True)))
+            starts.append({**start, **dict(zip(new.sizes, sizes, strict=True)), **one.values})
         effects = [law.effect(f"tried{k + 1}@{law.spot.port.name}", "a law") for k, law in enumerate(laws)]
-        subject = with_laws(self.outcome.subject, self.models, self.load, effects, self.base.effects)
+        subject = with_laws(
+            self.outcome.subject, self.models, self.load, effects, [*beside, *(c.beside for c in chosen)]
+        )
         subject = tightened(subject, starts)
-        beside = [e for e in subject.effects if e.id in self.base.effects]
         ends = []
-        for new, effect, start in zip(laws, effects, starts, strict=True):
-            unknowns = [*subject.nominal, *(u for e in (*beside, effect) for u in e.unknowns)]
+        for one, new, effect, start in zip(chosen, laws, effects, starts, strict=True):
+            acting = [subject.by_id[id] for id in (*beside, one.beside, effect.id) if id]
+            unknowns = [*subject.nominal, *(u for e in acting for u in e.unknowns)]
             begins = [start, {**start, **subject.starts}] if law is None else [start]
             if (end := approach(subject, unknowns, begins)) is not None:
-                ends.append((*end, new, effect))
+                ends.append((*end, new, acting))
         candidates = []
-        for _, at, new, effect in promising(ends):
-            fitted = fit_effects(subject, [*beside, effect], [at])
-            if fitted is not None and not decide.strained(fitted, [effect]):
+        for _, at, new, acting in promising(ends):
+            fitted, effect = fit_effects(subject, acting, [at]), acting[-1]
+            if fitted is not None and not decide.strained(fitted, acting[len(beside) :]):
                 candidates.append(Candidate(new, effect, subject, fitted))
         return candidates
 
@@ -302,7 +347,7 @@ class _Search:
         def beyond(better: Candidate, worse: Candidate) -> bool:
             return decide.separation(better.fitted, worse.fitted, observed) >= decide.SAME
 
-        left = [c for c in candidates if not any(d.law.rank <= c.law.rank and beyond(d, c) for d in candidates)]
+        left = [c for c in candidates if not any(d.rank <= c.rank and beyond(d, c) for d in candidates)]
         best = min(left, key=lambda c: c.fitted.held_out.mean)
         most = decide.ABOUT_AS_WELL * best.fitted.held_out.gap + _NOTHING
         alike = [
@@ -310,7 +355,7 @@ class _Search:
             for c in left
             if not beyond(best, c) and (c.fitted.held_out.gap <= most or c.fitted.fit.cost <= best.fitted.fit.cost)
         ]
-        return min(alike, key=lambda c: (c.law.rank, c.fitted.held_out.mean))
+        return min(alike, key=lambda c: (c.rank, c.fitted.held_out.mean))
 
     def p_value(self, law: Candidate) -> float:
         """Return how likely noise alone leaves as much as a law does."""
@@ -349,8 +394,10 @@ class _Search:
         slower = of_second_order(law.effect)
         if slower is None:
             return True
-        subject = with_laws(self.outcome.subject, self.models, self.load, [slower], self.base.effects)
-        fitted = fit_effects(subject, subject.effects, [law.fitted.fit.values])
+        subject = with_laws(self.outcome.subject, self.models, self.load, [slower], law.beside)
+        fitted = fit_effects(
+            subject, [subject.by_id[id] for id in (*law.beside, slower.id)], [law.fitted.fit.values]
+        )
         return fitted is None or decide.log_odds(law.fitted, fitted, subject.observed) >= np.log(decide.OPEN)
 
     def named(self, law: Candidate) -> Candidate:
@@ -366,8 +413,8 @@ class _Search:
         effect = final.effect(f"{name}_found@{spot.port.name}", text, renamed)
         unknowns = tuple(replace(u, name=new.get(u.name, u.name)) for u in law.fitted.fit.unknowns)
         fit = replace(law.fitted.fit, unknowns=unknowns, values=renamed)
-        fitted = replace(law.fitted, effects=(*law.fitted.effects[:-1], effect.id), fit=fit)
-        subject = with_laws(self.outcome.subject, self.models, self.load, [effect], law.fitted.effects[:-1])
+        fitted = replace(law.fitted, effects=(*law.beside, effect.id), fit=fit)
+        subject = with_laws(self.outcome.subject, self.models, self.load, [effect], law.beside)
         return Candidate(final, effect, subject, fitted)
 
     def described(self, law: Candidate, seed: int) -> LawFound:
@@ -375,17 +422,17 @@ class _Search:
         nominal, fitted, law_ = self.outcome.nominal, law.fitted, law.law
         null = self.noise.null(nominal_basis(nominal.fit, self.outcome.subject.observed), ())
         interval = closure_interval(nominal.held_out, fitted.held_out, null=null, seed=seed)
+        units = {n: unit for id in fitted.effects for n, unit in law.subject.by_id[id].units.items()}
         parameters = {}
         for name, estimate in estimates(fitted, law.subject).items():
-            if name in law.effect.units:
+            if name in units:
                 half = None if estimate.standard_error is None else _INTERVAL * estimate.standard_error
                 around = None if half is None else (estimate.value - half, estimate.value + half)
-                unit = law.effect.units[name]
-                parameters[name] = LawParameter(estimate.value, unit, estimate.standard_error, around)
+                parameters[name] = LawParameter(estimate.value, units[name], estimate.standard_error, around)
         return LawFound(
             id=law.effect.id,
             port=law_.spot.port.name,
-            beside=fitted.effects[:-1],
+            beside=law.beside,
             formula=law_.formula(fitted.fit.values),
             effect=entry(law.effect),
             parameters=parameters,

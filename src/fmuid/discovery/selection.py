@@ -7,12 +7,13 @@ judged on held-out experiments. Each must do more than noise alone would make an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import qr
 
+from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.cross_validation import HeldOut, NoiseDraws
@@ -23,21 +24,30 @@ from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import Term
+from fmuid.effects.effect import Effect
 
 DRIVEN = 0.05  # size at which a term's response is taken, as a share of the flow at the port
 _NEAR = 0.02  # of a course, beyond its linear terms: what a sum of others may leave of it
 _JUDGED = 40  # terms per place that are judged on held-out experiments
 _INSTEAD = 6  # terms that are tried in place of a law
 _BEGUN, _PARTNERS = 6, 4  # terms from which pairs are made, and partners tried for each
+_BESIDE = 6  # terms for each trial of an effect that are judged together with it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """Terms at a place with their coefficients (flows)."""
+    """Terms at a place with their coefficients (flows), maybe together with an effect at its values."""
 
     spot: Spot
     terms: tuple[Term, ...]
     sizes: tuple[float, ...]
+    beside: str = field(default="", kw_only=True)
+    values: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def members(self) -> int:
+        """Number of terms and effects."""
+        return len(self.terms) + bool(self.beside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,15 +75,64 @@ class _Column:
         return tuple((self.amounts @ responses)[:, None] for responses in self.driven)
 
 
-def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pairs: bool = True) -> list[Chosen]:
-    """Return single terms and pairs of them that explain what `base` leaves, the best of each family."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """The response to a trial of an effect: (M, 1) in each experiment, and its signature as of a term."""
+
+    effect: Effect
+    trial: Mapping[str, float]
+    parts: tuple[FloatArray, ...]
+    signature: FloatArray
+
+
+def responses_to(subject: Subject, base: Refit, effects: Sequence[Effect]) -> list[Beside]:
+    """Return the responses to all trials of effects that can be seen beside the fitted parameters."""
+    observed, basis = subject.observed, nominal_basis(base, subject.observed)
+    trials = [(e, trial) for e in effects for trial in e.trials]
+    outcomes = subject.model.predict([{**base.values, **e.neutral, **trial} for e, trial in trials])
+    seen = []
+    for (effect, trial), outcome in zip(trials, outcomes, strict=True):
+        if isinstance(outcome, SimulationError):
+            continue
+        after = observed.residuals(outcome)
+        parts = tuple((a - b)[:, None] for a, b in zip(after, base.residuals, strict=True))
+        signature = project_off(stack(parts, observed)[:, 0], basis)
+        if (length := float(np.linalg.norm(signature))) > 1.0:
+            seen.append(Beside(effect, trial, parts, signature / length))
+    return seen
+
+
+def choose(
+    subject: Subject,
+    base: Refit,
+    spot: Spot,
+    noise: NoiseDraws,
+    *,
+    pairs: bool = True,
+    beside: Sequence[Beside] = (),
+) -> list[Chosen]:
+    """Return single terms and pairs of them that explain what `base` leaves, the best of each family.
+
+    Terms are also paired with each of the effects `beside` them: neither needs to explain anything alone.
+    """
     observed = subject.observed
     columns = _columns(subject, base, spot)
     if not columns:
         return []
     basis = nominal_basis(base, observed)
     residual = stack(base.residuals, observed)
-    threshold = decide.SCORE_MARGIN * noise.null(basis, [c.signature for c in columns]).threshold()
+    signatures = np.array([c.signature for c in columns])
+    threshold = noise.null(basis, [*signatures, *(e.signature for e in beside)]).threshold()
+    threshold *= decide.SCORE_MARGIN
+    with_effects = []
+    for effect in beside:
+        alone = float(effect.signature @ residual)
+        shared = signatures @ effect.signature
+        new = (signatures @ residual - shared * alone) ** 2 / np.maximum(1.0 - shared**2, 1e-6)
+        drops = new + alone**2
+        useful = (new >= threshold) & (drops - [c.drop for c in columns] >= threshold)
+        for k in [k for k in np.argsort(-drops) if useful[k]][:_BESIDE]:
+            with_effects.append(_judged(subject, base, spot, [columns[k]], float(drops[k]), beside=effect))
     columns = sorted((c for c in columns if c.drop >= threshold), key=lambda c: -c.drop)
     chosen = _best_of_families([_judged(subject, base, spot, [c], c.drop) for c in columns[:_JUDGED]])
     by_term = {id(c.term): c for c in columns}
@@ -90,7 +149,7 @@ def choose(subject: Subject, base: Refit, spot: Spot, noise: NoiseDraws, *, pair
             if partner.term.family not in families:
                 families.add(partner.term.family)
                 chosen.append(_judged(subject, base, spot, [column, partner], column.drop + drop))
-    return _best_of_families(chosen)
+    return _best_of_families([*chosen, *with_effects])
 
 
 def instead(spot: Spot, flow: Sequence[FloatArray]) -> list[Proposal]:
@@ -191,17 +250,30 @@ def _drop_beside(first: _Column, second: _Column, left: FloatArray) -> float:
     return float(new @ left / length) ** 2 if length > 1e-3 else 0.0
 
 
-def _judged(subject: Subject, base: Refit, spot: Spot, columns: Sequence[_Column], drop: float) -> Chosen:
-    joined = tuple(np.hstack(parts) for parts in zip(*(c.parts for c in columns), strict=True))
+def _judged(
+    subject: Subject,
+    base: Refit,
+    spot: Spot,
+    columns: Sequence[_Column],
+    drop: float,
+    *,
+    beside: Beside | None = None,
+) -> Chosen:
+    every = [c.parts for c in columns] + ([beside.parts] if beside else [])
+    joined = tuple(np.hstack(parts) for parts in zip(*every, strict=True))
     (decoy,) = fit_decoys([Response("law", joined)], base, subject.observed)
-    sizes = tuple(DRIVEN * spot.flow * float(a) for a in decoy.amounts)
-    return Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out, drop)
+    sizes = tuple(DRIVEN * spot.flow * float(a) for a in decoy.amounts[: len(columns)])
+    chosen = Chosen(spot, tuple(c.term for c in columns), sizes, decoy.held_out, drop)
+    if beside is None:
+        return chosen
+    values = beside.effect.scaled(beside.trial, decoy.amounts[-1])
+    return replace(chosen, beside=beside.effect.id, values=values)
 
 
 def _best_of_families(candidates: Sequence[Chosen]) -> list[Chosen]:
     best: dict[frozenset[str], Chosen] = {}
     for one in candidates:
-        family = frozenset(t.family for t in one.terms)
+        family = frozenset((one.beside, *(t.family for t in one.terms)))
         if family not in best or one.held_out.mean < best[family].held_out.mean:
             best[family] = one
     return list(best.values())
