@@ -33,7 +33,7 @@ def test_what_acts_at_the_derivative_of_a_current_is_a_voltage_over_the_inductan
     fmu, v_in = Fmu(plant_fmu("CIRCUIT", tmp_path), "model exchange"), 5 * np.sign(np.sin(40 * TIME))
     here = place(fmu, "der(i)", {"v_in": v_in}, "v")
     (slope,) = fmu.simulate(Task(TIME, {"v_in": v_in}, ("der(i)",)), {})
-    assert here.unit == "A.s-1"
+    assert here.port.added_unit == "A.s-1"
     assert here.flow == pytest.approx(np.abs(slope).max())
     assert [q.name for q in here.quantities] == ["i", "v_in", "v", COLUMN]
 
@@ -43,7 +43,7 @@ def test_laws_use_what_can_be_written_in_them(tmp_path: Path, fmi: int) -> None:
     """The derivatives are variables called der(x) and der(v)."""
     fmu = Fmu(make_oscillator(tmp_path, fmi, ("ModelExchange",)), "model exchange")
     here = place(fmu, "der(v)", {"u": 5 * np.sin(40 * TIME)}, "y")
-    assert (here.unit, here.nearby) == ("m.s-2", ("v", "x", "u"))
+    assert (here.port.added_unit, here.nearby) == ("m.s-2", ("v", "x", "u"))
     assert {q.name for q in here.quantities} == {"v", "x", "u", COLUMN}
     over = {term.over.name for term in here.terms}
     assert over == {"v", "x", "u", COLUMN, "time"}
