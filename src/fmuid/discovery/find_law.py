@@ -62,12 +62,12 @@ class Candidate:
 
     @property
     def beside(self) -> tuple[str, ...]:
-        """The effects beside the law."""
+        """The other effects of the model."""
         return self.fitted.effects[:-1]
 
     @property
     def rank(self) -> int:
-        """Complexity of the law and of the effects beside it."""
+        """Complexity of the law and of the other effects."""
         return self.law.rank + 2 * len(self.beside)
 
 

@@ -86,7 +86,7 @@ class Beside:
 
 
 def responses_to(subject: Subject, base: Refit, effects: Sequence[Effect]) -> list[Beside]:
-    """Return the responses to all trials of effects that can be seen beside the fitted parameters."""
+    """Return the responses to all trials of effects that can be seen next to the fitted parameters."""
     observed, basis = subject.observed, nominal_basis(base, subject.observed)
     trials = [(e, trial) for e in effects for trial in e.trials]
     outcomes = subject.model.predict([{**base.values, **e.neutral, **trial} for e, trial in trials])
