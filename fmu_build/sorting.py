@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import casadi as ca
 
 from fmu_build.equations import Equation
-from fmu_build.graph import SX, Gradient, Graph, Substitution, if_else, is_number, key
+from fmu_build.graph import SX, Graph, Substitution, if_else, is_number, key
 from fmu_build.index_reduction import Reduced
 from fmu_build.loops import Loop, signs
 from fmu_build.matching import augment, components
@@ -146,26 +148,24 @@ def _solve_block(
 ) -> None:
     """Solve a block; at the start its unknowns have the given values."""
     graph = scope.graph
-    residuals, places = [e.residual for e in equations], [e.at for e in equations]
     left = {key(s): s for s in unknowns}
-    inside = [_inside(graph, r, left) for r in residuals]
+    rows = [_Row(graph, e.residual, e.at, left) for e in equations]
     order: list[tuple[SX, SX]] = []
     while True:
-        pivot = _pivot(graph, residuals, inside)
+        pivot = _pivot(rows)
         if pivot is None:
             break
-        row, k, slope = pivot
-        symbol = left.pop(k)
-        rest = Substitution({k: SX(0.0)})(residuals[row])
+        row, k = pivot
+        symbol, slope = left.pop(k), row.numbers[k]
+        rest = Substitution({k: SX(0.0)})(row.residual)
         value = -rest / slope if float(slope) != -1.0 else rest
         order.append((symbol, value))
-        del residuals[row], places[row], inside[row]
         replace = Substitution({k: value})
-        for i, others in enumerate(inside):
-            if k in others:
-                residuals[i] = replace(residuals[i])
-                inside[i] = _inside(graph, residuals[i], left)
+        rows = [
+            _Row(graph, replace(r.residual), r.at, left) if k in r.unknowns else r for r in rows if r is not row
+        ]
     if left:
+        residuals, places = [r.residual for r in rows], [r.at for r in rows]
         for symbol, value in _solve_rest(scope, solution, residuals, list(left.values()), places):
             solution.expression.define(symbol, _started(scope, given, symbol, value))
     for symbol, value in reversed(order):
@@ -176,28 +176,36 @@ def _started(scope: ModelScope, given: Mapping[int, SX], symbol: SX, value: SX) 
     return if_else(scope.starting(), given[key(symbol)], value) if key(symbol) in given else value
 
 
-def _inside(graph: Graph, residual: SX, unknowns: Mapping[int, SX]) -> list[int]:
-    symbols = graph.symbols(residual)
-    return [k for k in unknowns if k in symbols]
+class _Row:
+    """An equation of a block and the unknowns in it."""
+
+    def __init__(self, graph: Graph, residual: SX, at: Place, unknowns: Mapping[int, SX]) -> None:
+        self._graph = graph
+        self.residual = residual
+        self.at = at
+        symbols = graph.symbols(residual)
+        self.unknowns = [k for k in unknowns if k in symbols]
+
+    @cached_property
+    def numbers(self) -> dict[int, SX]:
+        """Coefficients of unknowns that are numbers."""
+        gradient, stepped = self._graph.gradient(self.residual), self._graph.stepped(self.residual)
+        return {
+            k: gradient[k] for k in self.unknowns if k in gradient and is_number(gradient[k]) and k not in stepped
+        }
 
 
-def _pivot(graph: Graph, residuals: list[SX], inside: list[list[int]]) -> tuple[int, int, SX] | None:
-    """Cheapest (equation, unknown) whose coefficient is a number: with the fewest other terms (Markowitz)."""
-    meets = Counter(k for unknowns in inside for k in unknowns)
-    best: tuple[int, int, int] | None = None
-    for row, unknowns in enumerate(inside):
-        gradient: Gradient | None = None
-        for k in unknowns:
-            cost = (len(unknowns) - 1) * (meets[k] - 1)
-            if best is not None and cost >= best[0]:
-                continue
-            if gradient is None:
-                gradient = graph.gradient(residuals[row])
-            if k in gradient and is_number(gradient[k]) and k not in graph.stepped(residuals[row]):
-                best = (cost, row, k)
-    if best is None:
-        return None
-    return best[1], best[2], graph.gradient(residuals[best[1]])[best[2]]
+def _pivot(rows: Sequence[_Row]) -> tuple[_Row, int] | None:
+    """Cheapest equation and unknown whose coefficient is a number: with the fewest other terms (Markowitz)."""
+    meets = Counter(k for row in rows for k in row.unknowns)
+    best: tuple[_Row, int] | None = None
+    least = math.inf
+    for row in rows:
+        for k in row.unknowns:
+            cost = (len(row.unknowns) - 1) * (meets[k] - 1)
+            if cost < least and k in row.numbers:
+                best, least = (row, k), cost
+    return best
 
 
 def _solve_rest(
