@@ -14,6 +14,8 @@ from fmuid.effects.quantities import quantity_words, words_of
     [
         ("varies@K", "K falls with the current", "K falls with the current"),
         ("varies@Kp", "Kp falls with the current", "Kp falls with the current"),
+        ("varies@G_env(wind)", "G_env grows with wind", "G_env grows with wind"),
+        ("varies@K:w(i)", "K:w falls with i", "K:w falls with i"),
         ("value@motor.R", "R is larger", "R is larger"),
         ("T1_drift", "T1 drifts", "T1 drifts"),
         ("loss@boiler", "boiler: loss of heat", "boiler: loss of heat"),

@@ -380,6 +380,7 @@ def _lowered(sentence: str, effect: str) -> str:
     or digit inside.
     """
     first = sentence.partition(" ")[0].strip("',.")
+    effect = effect.partition("(")[0]
     words = {*re.split(r"[@.]", effect), effect.partition("@")[2]}
     named_ = first.endswith(":") or first in words or (first != "A" and not first[1:].islower())
     return sentence if named_ else sentence[:1].lower() + sentence[1:]
