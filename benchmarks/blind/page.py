@@ -34,8 +34,8 @@ whole, in `benchmarks/blind/published/<seed>/`: version of the grammar, labels, 
 The first {rehearsal} cases of a seed are a rehearsal, whose labels may be read while rules change; the next
 {check} are the check.
 
-    make blind SEED=...       # draw and diagnose
-    make blind-verify         # recompute this page from what is committed, and logs and labels from their seeds
+    make blind SEED=...  # draw and diagnose
+    make blind-verify    # recompute this page from what is committed, and logs and labels from their seeds
 
 Before any diagnosis, 50 random rigs were compared with their models: `make blind-agreement` (largest difference
 0.001 standard deviations of the noise).
@@ -48,10 +48,9 @@ hold 90 %; cases cluster by rig, and the intervals allow for it. The interval fo
 rig that is not among these lies. [Earlier checks](history.md) were on rigs that did not stay unseen.
 """
 _REGIMES = """\
-Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems:
-whether a discrepancy is seen; F1 of the samples in the regimes that are named, of those where the effect acts; the
-relative error of the parameters that the runs determine (mean over parameters); whether the law is named. These
-are the definitions of its abstract."""
+Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems,
+by the definitions of its abstract: whether a discrepancy is seen; F1 of the samples in the regimes that are named;
+the relative error of the parameters that the runs determine; whether the law is named."""
 
 
 CASES = "cases.md"
@@ -110,7 +109,9 @@ def case_by_case(seed: Seed) -> str:
     """Return the Markdown page of a seed with every group of cases and every case that is not right."""
     parts = [f"# Seed {seed.seed}, case by case\n"]
     for title, cases, _ in _grids(seed):
-        parts += [f"## {title}\n", "### By stratum, repeats, noise and rig\n", _shares(cases)]
+        others = [f for f in figures(cases) if f.lower is None and f.upper is None]
+        parts += [f"## {title}\n", "### Figures without an aim\n", _aims(others)]
+        parts += ["### By stratum, repeats, noise and rig\n", _shares(cases)]
         parts += ["### Every case that is not right\n", _misses(seed, cases)]
     return "\n".join(parts)
 
@@ -130,7 +131,7 @@ def _section(title: str, seed: Seed, cases: Sequence[Scored], count: int) -> str
         f"{part} on {rigs} rigs, diagnosed by commit `{seed.told['commit'][:10]}`, grammar"
         f" {seed.told['grammar']}.",
         "",
-        _aims(figures(cases)),
+        _aims([f for f in figures(cases) if f.lower is not None or f.upper is not None]),
         "### Effects in one regime only",
         "",
         _REGIMES,
@@ -142,7 +143,7 @@ def _section(title: str, seed: Seed, cases: Sequence[Scored], count: int) -> str
         "",
         "### What went wrong",
         "",
-        f"Every case with its reason is in `benchmarks/blind/published/{seed.seed}/{CASES}`.",
+        f"Every case, and figures without an aim: `benchmarks/blind/published/{seed.seed}/{CASES}`.",
         "",
         _kinds_of_misses(cases),
     ]

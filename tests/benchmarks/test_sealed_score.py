@@ -19,7 +19,7 @@ def test_answers_are_compared_with_published_labels(tmp_path, capsys):
     main([str(tmp_path / "labels.json"), str(tmp_path)])
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("a: right")
-    assert lines[1].startswith("b: names gain@y")
+    assert lines[1].startswith("b: a complete model is not called complete: gain@y")
     assert lines[2].startswith("c: no answer;")
     assert lines[3].startswith("d: the gap is not seen")
     assert lines[4].startswith("right: 0.25")
