@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,9 @@ def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path)
     page = (tmp_path / "out" / "diagnosis.json").read_text()
     assert "G grows with wind: +" in page
     assert "% per m/s, from 20" in page
+    assert (
+        json.loads(page)["corrected_differs"] < 0.05
+    )  # also of the Modelica file, which has the wind as an input
     again = fmuid.diagnose(tmp_path / "out" / "corrected")
     assert not again.diagnosis.gap.present
 

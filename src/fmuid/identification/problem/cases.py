@@ -149,8 +149,10 @@ class Case:
 
     def with_model(self, simulator: Simulator) -> Case:
         """Return the case with another model, whose inputs are the same but for the columns that it uses."""
-        inputs = {n: u for n, u in self.task.inputs.items() if not n.startswith(LOGGED)}
-        used = {n: u for n, (_, u) in self.columns.items() if n in simulator.variables}
+        inputs = {n: u for n, u in self.task.inputs.items() if not _of_log(n)}
+        used = {
+            name: u for n, (_, u) in self.columns.items() for name in (n, f"'{n}'") if name in simulator.variables
+        }
         inputs |= {n: np.append(u, np.full(self.lead, u[-1])) for n, u in used.items()}
         lines, smooth = (
             tuple(n for n in inputs_held if n in inputs)
@@ -387,8 +389,8 @@ def _case(
     ]
     inputs, input_noise = _inputs(campaign, first, simulator, where)
     columns = _columns(group)
-    for variable in (n for n, v in variables.items() if v.causality == "input" and n.startswith(LOGGED)):
-        inputs[variable] = _logged(group, columns, variable)
+    for variable in (n for n, v in variables.items() if v.causality == "input" and _of_log(n)):
+        inputs[variable] = _logged(group, columns, variable.strip("'"))
     known = _settings(campaign, first, model, simulator, where)
     time, raw_inputs = first.time, {name: signal.values for name, signal in first.inputs.items()}
     lead = 0
@@ -462,6 +464,11 @@ def _inputs(
 def logged(column: str) -> str:
     """Return the name of the input of a model that a column becomes which the plain model does not use."""
     return LOGGED + re.sub(r"\W", "_", column)
+
+
+def _of_log(variable: str) -> bool:
+    """Return whether an input is a column of the log; flattened Modelica quotes its name."""
+    return variable.strip("'").startswith(LOGGED)
 
 
 def _logged(
