@@ -13,7 +13,7 @@ from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.cross_validation import draw_noise
-from fmuid.diagnosis.decide import tolerances
+from fmuid.diagnosis.decide import tolerances, tolerated
 from fmuid.diagnosis.observed import Observed, excess
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.coupled.loading import load_simulator
@@ -70,6 +70,9 @@ def test_slow_noise_within_the_tolerance_is_a_complete_model(campaign):
     assert none["probability"] == pytest.approx(error["probability"])
     assert "Complete to within the tolerance" in str(diagnosed)
     assert "K beyond the noise (0.06 K tolerated)" in str(diagnosed)
+    poorly_determined = tuple({"wall.G": 3.0} for _ in diagnosed.nominal.left_out)  # by the other runs alone
+    judged = tolerated(diagnosed.subject, replace(diagnosed.nominal, left_out=poorly_determined))
+    assert judged == diagnosed.diagnosis.tolerated
 
 
 def test_a_smaller_tolerance_is_exceeded(campaign):

@@ -478,23 +478,26 @@ def _tolerance(name: str, value: float | str, channels: Mapping[str, Sequence[Ch
 
 
 def tolerated(subject: Subject, fitted: Fitted) -> tuple[Tolerated, ...]:
-    """Return a model's errors on left-out data.
+    """Return a refitted model's errors beyond the noise.
 
-    A signal without a tolerance is in the list if its error exceeds the noise. Nothing is returned without a
-    tolerance, or if a fold cannot be simulated or there is only one.
+    A tolerance is about what the model lacks, so parameters are fitted to all runs: what the noise leaves in them
+    is no error of the model. Each parameter takes up the noise of one sample. A signal without a tolerance is in
+    the list if its error exceeds the noise. Nothing is returned without a tolerance, or with a single fold.
     """
     model, observed, folds = subject.model, subject.observed, subject.observed.folds
     if not subject.tolerances or len(folds) < 2:
         return ()
-    predictions = model.predict_at([(e, v) for (e, _), v in zip(folds, fitted.left_out, strict=True)])
+    (predictions,) = model.predict([fitted.fit.values])
+    if isinstance(predictions, SimulationError):
+        return ()
+    samples = sum(float(np.count_nonzero(run.mask)) for run in observed.runs)
+    left = max(1.0 - len(fitted.fit.unknowns) / samples, 0.0)
     excess: dict[str, list[float]] = {}  # of the mean square error over noise, by fold
     floors: dict[str, list[float]] = {}
     shown: dict[str, Channel] = {}
-    for (e, _), (begin, end), predicted in zip(folds, observed.fold_times, predictions, strict=True):
-        if isinstance(predicted, SimulationError):
-            return ()
-        run = observed.runs[e]
-        floor = observed.noise[run.setup].of_mean(run.n_repeats) ** 2
+    for (e, _), (begin, end) in zip(folds, observed.fold_times, strict=True):
+        run, predicted = observed.runs[e], predictions[e]
+        floor = left * observed.noise[run.setup].of_mean(run.n_repeats) ** 2
         for c, channel in enumerate(model.cases[e].channels):
             there = run.mask[c, begin:end] > 0.0
             if not there.any():

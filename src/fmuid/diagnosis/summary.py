@@ -145,7 +145,7 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
             f" {_reduction(explained['closure'])}."
         )
     if diagnosis.get("tolerated"):
-        lines.append(f"On data that were not used, {_tolerated(diagnosis['tolerated'])}.")
+        lines.append(f"After the refit, {_tolerated(diagnosis['tolerated'])}.")
     if verdict.get("provisional"):
         lines.append(_provisional(diagnosis))
     if verdict.get("rest"):
@@ -231,7 +231,7 @@ def _errors(tolerated: Sequence[Mapping[str, Any]]) -> tuple[Fact, ...]:
 
 
 def _tolerated(errors: Sequence[Mapping[str, Any]]) -> str:
-    """Return the errors on left-out data beyond the noise, with what is tolerated."""
+    """Return the errors of the refitted model beyond the noise, with what is tolerated."""
     lines = []
     for e in errors:
         unit = f" {e['unit']}" if e["unit"] else ""

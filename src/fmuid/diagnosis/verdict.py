@@ -70,7 +70,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Tolerated:
-    """The error of a signal on left-out data against the user's tolerance.
+    """The error of a signal beyond the noise, after a refit, against the user's tolerance.
 
     Attributes
     ----------
