@@ -226,7 +226,8 @@ Status do_step(Instance *me, double t, double h) {
     const long limit = step->steps + MAX_STEPS;
     const double close = 1e-280 + 4e-16 * fabs(target); /* do not integrate what is only rounding of the time */
     const double late = 1e-13 * fmax(1.0, fabs(target)); /* so much may a sum of sample times be off */
-    const clock_t begun = clock();
+    clock_t begun = 0; /* at the first look: most steps end before it, and a look costs as much as a light one */
+    int looked = 0;
     int events = 0;
     double last_event = -INFINITY;
     while (!s->terminate) {
@@ -252,8 +253,13 @@ Status do_step(Instance *me, double t, double h) {
         if (step->t1 > step->t0) find_event(me, step->t0, step->t1, 4);
         if (step->steps > limit)
             return report(me, STATUS_ERROR, "t = %.9g: more than %ld integration steps", step->t1, MAX_STEPS);
-        if (me->patience > 0.0 && step->steps % LOOKS == 0 && (double)(clock() - begun) > me->patience * CLOCKS_PER_SEC)
-            return report(me, STATUS_ERROR, "t = %.9g: one step takes over %g s of processor time", step->t1, me->patience);
+        if (me->patience > 0.0 && step->steps % LOOKS == 0) {
+            const clock_t now = clock();
+            if (!looked) begun = now, looked = 1;
+            if ((double)(now - begun) > me->patience * CLOCKS_PER_SEC)
+                return report(me, STATUS_ERROR, "t = %.9g: one step takes over %g s of processor time", step->t1,
+                              me->patience);
+        }
     }
     if (!s->terminate) {
         move_to(me, target);
