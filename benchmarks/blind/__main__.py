@@ -125,8 +125,8 @@ def pages() -> dict[Path, str]:
     """Return the pages about what is published, by file."""
     from benchmarks.blind.page import CASES, case_by_case, page, read_published
 
-    details = {PUBLISHED / str(s.seed) / CASES: case_by_case(s) for s in read_published(PUBLISHED)}
-    return {PAGE: page(PUBLISHED), **details}
+    seeds = read_published(PUBLISHED)
+    return {PAGE: page(seeds), **{PUBLISHED / str(s.seed) / CASES: case_by_case(s) for s in seeds}}
 
 
 def write_pages() -> None:

@@ -94,10 +94,10 @@ def read_published(folder: Path) -> list[Seed]:
     return seeds
 
 
-def page(folder: Path) -> str:
-    """Return the Markdown page."""
+def page(seeds: Sequence[Seed]) -> str:
+    """Return the Markdown page about published seeds."""
     parts = [_INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)]
-    for seed in read_published(folder):
+    for seed in seeds:
         parts += [_section(title, seed, cases, count) for title, cases, count in _grids(seed)]
     if len(parts) == 1:
         parts.append("No seed has been published yet.\n")
