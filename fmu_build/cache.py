@@ -18,7 +18,7 @@ def user_cache() -> Path:
 
 
 def remove_unused(folder: Path, pattern: str) -> None:
-    """Remove those files and folders of a cache that nobody has written or touched for a quarter."""
+    """Remove the files and folders of a cache that have not been used for 90 days."""
     for path in folder.glob(pattern):
         with suppress(OSError):  # another process removes it, too
             if time.time() - path.stat().st_mtime > _UNUSED:

@@ -46,8 +46,8 @@ _LED_OUT = 2  # laws that are approached over growing horizons: those that fit b
 _TERMS = 3  # largest number of terms in a law
 _INTERVAL = 1.96  # standard errors: 95 %
 _POINTS = 101  # number of points of a curve
-_LATE = ("delay", "lag")  # of a signal: what a law that is no part of it may hide, and be hidden by
-_TRIED_LATE = 2  # of them, added to a law: those that promise most
+_LATE = ("delay", "lag")  # effects of signals that a law may be mistaken for, and the reverse
+_TRIED_LATE = 2  # number of them that are tried with a law, most promising first
 _NOTHING = 0.05  # noise floors: a gap too small to prefer one law to another
 
 
