@@ -22,7 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.blind.plants.cases import CHECK, REHEARSAL, draw_case, write_case
+from benchmarks.blind.plants.cases import CHECK, REHEARSAL, STRATA, draw_case, numbers, write_case
 from benchmarks.blind.plants.grammar import VERSION
 from benchmarks.blind.plants.network import DivergedError
 from benchmarks.study_command import ended
@@ -193,6 +193,7 @@ def main() -> int:
         if name == "run":
             one.add_argument("--first", type=int, default=0)
             one.add_argument("--count", type=int, default=REHEARSAL + CHECK)
+            one.add_argument("--only", metavar="STRATUM", choices=STRATA, help="count only cases of one stratum")
             one.add_argument("--workers", type=int, default=1)
             one.add_argument("--time-limit", type=float, default=300.0, help="processor time of a case, s")
     commands.add_parser("page")
@@ -223,7 +224,7 @@ def main() -> int:
                 failed.append(f"c{number:04d}: {error}")
 
         with ThreadPoolExecutor(given.workers) as pool:
-            list(pool.map(one, range(given.first, given.first + given.count)))
+            list(pool.map(one, numbers(given.seed, given.first, given.count, given.only)))
         return failed
 
     return ended(work, resumes=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, t
 
-from benchmarks.blind.plants.cases import bad_file
+from benchmarks.blind.plants.cases import STRATA, bad_file
 
 _NAMING = ("effect", "partial", "ambiguous")
 _BINS = 10  # of the probability, each with as many cases
@@ -269,14 +269,14 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
     calm = [c for c in cases if not c.label["loud"]]
     by = {
         (s, r): [c for c in cases if c.label["stratum"] == s and (c.label["repeats"] == 1) is r]
-        for s in _STRATA
+        for s in STRATA
         for r in (True, False)
     }
     none = {
         r: [c for c in calm if c.label["stratum"] == "none" and (c.label["repeats"] == 1) is r]
         for r in (True, False)
     }
-    both = {s: by[s, True] + by[s, False] for s in _STRATA}
+    both = {s: by[s, True] + by[s, False] for s in STRATA}
     sizes, closures = _known(cases, _size_covered), _known(cases, _closure_covered)
     seconds = [float(c.record["seconds"]) for c in cases if "seconds" in c.record]
     tables = [x for c in both["unknown"] if (x := _learned(c)) is not None]
@@ -332,9 +332,6 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
             lambda c: c.answer is not None and {n for n, _ in c.record["refused"]} == c.bad,
         ),
     ]
-
-
-_STRATA = ("none", "one", "two", "varies", "unknown", "regime")
 
 
 def _known(cases: Sequence[Scored], covered: Callable[[Scored], bool | None]) -> list[tuple[Scored, bool]]:

@@ -15,7 +15,7 @@ import pytest
 from benchmarks.blind import plants
 from benchmarks.blind.__main__ import answered, pages, publish, verify, write_pages
 from benchmarks.blind.agreement import TOLERANCE, disagreement
-from benchmarks.blind.plants.cases import draw_case, stratum_of, write_case
+from benchmarks.blind.plants.cases import draw_case, numbers, stratum_of, write_case
 from benchmarks.blind.plants.effects import SHAPES, Effect, candidates, other_names, usual, varying
 from benchmarks.blind.plants.grammar import draw_rig, wave
 from benchmarks.blind.plants.readings import Gaps, Run, Way, simulate
@@ -117,6 +117,13 @@ def test_strata_come_in_their_shares_and_the_background_is_as_large_as_asked_for
     label = draw_case(5, 16).label
     low, high = (0.7, 1.3) if label["loud"] else (0.07, 0.65)
     assert low < label["background"] < high
+
+
+def test_cases_of_one_stratum_are_counted_alone_and_without_twins():
+    assert numbers(1, 2, 3) == [2, 3, 4]
+    chosen = numbers(1, 5, 20, "varies")
+    assert {stratum_of(1, k) for k in chosen} == {"varies"} and min(chosen) >= 5
+    assert len(chosen) == 20 and not [k for k in chosen if k % 8 == 7]
 
 
 def test_a_twin_has_the_same_noise_in_other_units(tmp_path):

@@ -7,6 +7,7 @@ sample. The first 100 cases of a seed are its rehearsal, the next 400 the check.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,6 +39,7 @@ REHEARSAL, CHECK = 100, 400
 PER_RIG = 4
 _TWIN = 8  # of so many cases, the last one is the one before it in other units, with other columns beside
 _BLOCK = ("none",) * 5 + ("one",) * 6 + ("two",) * 2 + ("varies",) * 2 + ("unknown",) * 3 + ("regime",) * 2
+STRATA = tuple(dict.fromkeys(_BLOCK))
 _EXPERIMENTS = (4, 4, 4, 4, 5, 5, 5, 6, 6, 7, 8)
 _REPEATS = (1,) * 12 + (2,) * 3 + (3,) * 3 + (5,) * 2
 _NOISE = ("white",) * 8 + ("coloured", "heteroscedastic", "quantised", "drift", "spikes", "inputs") * 2
@@ -84,6 +86,12 @@ def stratum_of(seed: int, number: int) -> str:
     """Return the stratum of a case."""
     block = np.random.default_rng([seed, number // len(_BLOCK), 3])
     return str(block.permutation(_BLOCK)[number % len(_BLOCK)])
+
+
+def numbers(seed: int, first: int, count: int, only: str | None = None) -> list[int]:
+    """Return the numbers of so many cases from the first one on: of all, or of one stratum and without twins."""
+    every = (n for n in itertools.count(first) if n % _TWIN != _TWIN - 1 and stratum_of(seed, n) == only)
+    return list(itertools.islice(every, count) if only else range(first, first + count))
 
 
 def draw_case(seed: int, number: int) -> Case:
