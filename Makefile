@@ -80,11 +80,12 @@ sealed-abroad: | $(READY)
 	$(BIN)/python -m benchmarks.sealed $(SEALED_ABROAD) --abroad --out sealed --page docs/sealed.md
 
 # Random rigs, drawn from SEED and diagnosed: 100 cases of a rehearsal, 400 of the check. Continues where it was interrupted.
-# FIRST=100 COUNT=400: the check alone; COUNT=60 ONLY=varies: so many of one stratum; WORKERS=2: in parallel. LABELS: a folder outside this one.
+# FIRST=100 COUNT=400: the check alone; COUNT=60 ONLY=varies: so many of one stratum; WORKERS=2: cases in parallel.
+# LABELS: a folder outside this one.
 blind: | $(READY)
 	@test -n "$(SEED)" || { echo "SEED=...: an integer that was not used before"; exit 2; }
-	$(BIN)/python -m benchmarks.blind run $(SEED) --labels $(LABELS) $(FIRST:%=--first %) $(COUNT:%=--count %) $(ONLY:%=--only %) \
-	  $(WORKERS:%=--workers %)
+	$(BIN)/python -m benchmarks.blind run $(SEED) --labels $(LABELS) $(FIRST:%=--first %) $(COUNT:%=--count %) \
+	  $(ONLY:%=--only %) $(WORKERS:%=--workers %)
 
 # Afterwards: commit what is published of the seed, and the page.
 blind-publish: | $(READY)
