@@ -365,7 +365,7 @@ def _timed(run: Callable[[], object]) -> float:
 
 
 def scaling(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]]:
-    """Return times in s by multiples of the paper's campaign: samples, runs, and effects that are scored."""
+    """Return times in s by multiples of the paper's campaign: samples and runs."""
     problem = linear_stage()
     case, space = problem.cases[0], problem.space
     longer = _lengthened(case)
@@ -390,7 +390,6 @@ def scaling(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]
     return {
         "samples": grows(sizes, samples, budget),
         "runs": grows(sizes, runs, budget),
-        **_effects(sizes, budget),
     }
 
 
@@ -404,32 +403,3 @@ def _lengthened(case: Case) -> Callable[[int], Task]:
         )
 
     return longer
-
-
-def _effects(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]]:
-    from fmuid.diagnosis.candidates import fit_effects, score_further
-    from fmuid.diagnosis.subject import subject_of
-    from fmuid.simulation.coupled.loading import load_model
-
-    with suppress(FmuidError):
-        subject = subject_of(fmuid.load_campaign(CAMPAIGN), load_model, experiments=("row_30",))
-        nominal = fit_effects(subject, (), [{}], iterations=1)
-        if nominal is not None:
-            first = subject.effects[:1]
-
-            def effects(times: int) -> Callable[[], object]:
-                # the same law at magnitudes of its own each time: nothing may be remembered
-                many = tuple(
-                    replace(
-                        e,
-                        id=f"{e.id}_{k}",
-                        trials=tuple({n: v * (1.0 - 1e-4 * (k + 1)) for n, v in t.items()} for t in e.trials),
-                    )
-                    for k in range(times)
-                    for e in first
-                )
-                fresh = replace(subject, effects=many, model=replace(subject.model))
-                return lambda: score_further(fresh, nominal)
-
-            return {"effects": grows(sizes, effects, budget)}
-    return {}
