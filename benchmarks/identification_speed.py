@@ -8,27 +8,18 @@ Everybody runs in a new process, peers in environments of their own, made from `
 
 from __future__ import annotations
 
-import contextlib
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from integrator import prbs
 from timing import say, table
 
-from fmuid.core.campaign import ParameterSpec
-from fmuid.identification.problem.cases import measured_case
-from fmuid.identification.problem.estimation_problem import Problem
-from fmuid.identification.problem.evaluation import Evaluation
-from fmuid.identification.solvers import make
-from fmuid.identification.solvers.search import Search, StopRules
 from fmuid.simulation.fmu import Fmu
-from fmuid.simulation.runners import Job, Outcome, in_process
 from fmuid.simulation.simulator import Task
 
 HERE = Path(__file__).parent
@@ -84,24 +75,6 @@ def light() -> Subject:
     return Subject("TorqueDriven", time, {"tau_ref": torque}, "q", 0.01, parameters)
 
 
-class OverError(Exception):
-    """The cost is reached."""
-
-
-@dataclass(frozen=True)
-class Race:
-    """What a tool is given; `target` is the root mean square error to reach."""
-
-    fmu: str
-    time: list[float]
-    inputs: dict[str, list[float]]
-    output: str
-    measured: list[float]
-    parameters: Mapping[str, tuple[float, float, float]]
-    target: float
-    limit: float
-
-
 @dataclass(frozen=True)
 class Finish:
     """How it went: wall time in s, simulations, cost; or why not."""
@@ -114,44 +87,21 @@ class Finish:
     missing: str = ""
 
 
-def race(subject: Subject, limit: float) -> Race:
-    """Return the job: the least cost is found first, by running fmuid to its end."""
+def race(subject: Subject, limit: float, file: Path) -> None:
+    """Write the job: the least cost is found first, by running fmuid to its end."""
     path = ROOT / "build" / "fmus" / f"{subject.fmu}.fmu"
     task = Task(subject.time, subject.inputs, (subject.output,))
     with Fmu(path) as fmu:
         true = fmu.simulate(task, {name: value for name, (value, _) in subject.parameters.items()})[0]
     measured = true + np.random.default_rng(0).normal(0.0, subject.noise, len(true))
     inputs = {name: u.tolist() for name, u in subject.inputs.items()}
-    start = {name: bounds for name, (_, bounds) in subject.parameters.items()}
-    job = Race(str(path), subject.time.tolist(), inputs, subject.output, measured.tolist(), start, 0.0, limit)
-    return replace(job, target=1.01 * with_fmuid(job).cost)
-
-
-def with_fmuid(job: Race) -> Finish:
-    """Run fmuid's default solver for least squares on the job, as ``peers/with_fmuid.py`` does."""
-    begun, simulations, best = time.perf_counter(), 0, np.inf
-
-    def count(jobs: Sequence[Job]) -> list[Outcome]:
-        nonlocal simulations
-        simulations += len(jobs)
-        return in_process(jobs)
-
-    def stop(evaluation: Evaluation, _purpose: str, _improved: bool) -> None:
-        nonlocal best
-        if evaluation.ok:
-            best = min(best, float(np.sqrt(np.mean(evaluation.residuals**2))))
-        if best <= job.target:
-            raise OverError
-
-    with Fmu(job.fmu) as fmu:
-        task = Task(np.array(job.time), {k: np.array(v) for k, v in job.inputs.items()}, (job.output,))
-        case = measured_case("run", fmu, task, {job.output: np.array(job.measured)}, sigma={job.output: 1.0})
-        specs = [ParameterSpec(name, *values) for name, values in job.parameters.items()]
-        search = Search(Problem([case], specs, runner=count), StopRules(), record=stop)
-        with contextlib.suppress(OverError):
-            make("auto", {}, search.problem)[0].solve(search, search.problem.space.start)
-        seconds = time.perf_counter() - begun
-    return Finish("fmuid", seconds, simulations, best, best <= job.target)
+    job = {
+        "fmu": str(path), "time": subject.time.tolist(), "inputs": inputs, "output": subject.output,
+        "measured": measured.tolist(), "limit": limit, "target": 0.0,
+        "parameters": {name: bounds for name, (_, bounds) in subject.parameters.items()},
+    }  # fmt: skip
+    file.write_text(json.dumps(job))
+    file.write_text(json.dumps({**job, "target": 1.01 * with_peer(FMUID, file, limit).cost}))
 
 
 def with_peer(peer: tuple[str, str | None, str, tuple[str, ...]], file: Path, limit: float) -> Finish:
@@ -180,12 +130,11 @@ def with_peer(peer: tuple[str, str | None, str, tuple[str, ...]], file: Path, li
 def measure(folder: Path, *, limit: float = 40.0, repeats: int = 5) -> dict[str, list[Finish]]:
     """Run everybody on both subjects, in turn; the median counts of those who are done within `SHORT` seconds."""
     subjects = {"the actuator": stiff(), "the pendulum": light()}
-    return {what: _all_on(race(subject, limit), folder, limit, repeats) for what, subject in subjects.items()}
+    return {what: _all_on(subject, folder / "race.json", limit, repeats) for what, subject in subjects.items()}
 
 
-def _all_on(job: Race, folder: Path, limit: float, repeats: int) -> list[Finish]:
-    file = folder / "race.json"
-    file.write_text(json.dumps(asdict(job)))
+def _all_on(subject: Subject, file: Path, limit: float, repeats: int) -> list[Finish]:
+    race(subject, limit, file)
     runs: dict[str, list[Finish]] = {}
     for _ in range(repeats):
         for peer in (FMUID, *PEERS):

@@ -40,7 +40,7 @@ def ended(work: Callable[[], Sequence[str]], *, resumes: bool = False) -> int:
     """
     try:
         failures = work()
-    except (FmuidError, UserError) as error:
+    except (FmuidError, UserError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

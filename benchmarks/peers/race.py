@@ -40,8 +40,11 @@ class Race:
     def take(self, predicted: Any) -> None:
         """Count a simulation, by its (N,) prediction of the measured output."""
         self.simulations += 1
-        values = np.asarray(predicted, dtype=float)
-        self.best = min(self.best, float(np.sqrt(np.mean((values - self.measured) ** 2))))
+        self.judge(np.asarray(predicted, dtype=float) - self.measured)
+
+    def judge(self, residuals: np.ndarray) -> None:
+        """Take the (N,) residuals of a simulation that is counted elsewhere."""
+        self.best = min(self.best, float(np.sqrt(np.mean(residuals**2))))
         if self.best <= self.job["target"] or self.seconds > self.job["limit"]:
             raise OverError
 

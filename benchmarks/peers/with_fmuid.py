@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from dataclasses import asdict
-from pathlib import Path
+import numpy as np
+import scipy.optimize  # noqa: F401  imports do not count
+from race import Race
 
-import lxml.etree  # noqa: F401  imports do not count
-import scipy.optimize  # noqa: F401
+from fmuid.core.campaign import ParameterSpec
+from fmuid.identification.problem.cases import measured_case
+from fmuid.identification.problem.estimation_problem import Problem
+from fmuid.identification.problem.evaluation import Evaluation
+from fmuid.identification.solvers import make
+from fmuid.identification.solvers.search import Search, StopRules
+from fmuid.simulation.fmu import Fmu
+from fmuid.simulation.runners import Job, Outcome, in_process
+from fmuid.simulation.simulator import Task
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from identification_speed import Race, with_fmuid
+race = Race()
+job = race.job
 
-finish = asdict(with_fmuid(Race(**json.loads(Path(sys.argv[1]).read_text()))))
-print(json.dumps({name: finish[name] for name in ("seconds", "simulations", "cost", "reached")}))
+
+def count(jobs: list[Job]) -> list[Outcome]:
+    race.simulations += len(jobs)
+    return in_process(jobs)
+
+
+def stop(evaluation: Evaluation, _purpose: str, _improved: bool) -> None:
+    if evaluation.ok:
+        race.judge(evaluation.residuals)
+
+
+def tool() -> None:
+    with Fmu(job["fmu"]) as fmu:
+        task = Task(race.time, {k: np.array(v) for k, v in job["inputs"].items()}, (job["output"],))
+        case = measured_case("run", fmu, task, {job["output"]: race.measured}, sigma={job["output"]: 1.0})
+        specs = [ParameterSpec(name, *values) for name, values in race.parameters.items()]
+        search = Search(Problem([case], specs, runner=count), StopRules(), record=stop)
+        make("auto", {}, search.problem)[0].solve(search, search.problem.space.start)
+
+
+race.run(tool)

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import os
-import shutil
-import subprocess
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -17,14 +12,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fmu_build.errors import BuildError
+from benchmarks.shared_library import compiled
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 
 SETUPS = ("fixed_shaft", "free_shaft", "eccentric_load")
 WORKS = ("motor", "friction", "dampers", "load")
-# No fused multiply-add and no -march: the same numbers on every x86-64 machine.
-_FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 _DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
 
 
@@ -49,33 +42,6 @@ class ParameterInfo:
     neutral: float
     unit: str
     description: str
-
-
-def _cache_folder() -> Path:
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "fmuid"
-
-
-def compiled(name: str, *sources: Path, beside: Sequence[Path] = ()) -> Path:
-    """Return the shared library of C sources, compiled if it is not in the cache; headers lie `beside` them."""
-    text = b"".join(source.read_bytes() for source in (*sources, *beside))
-    key = hashlib.sha256(text + " ".join(_FLAGS).encode()).hexdigest()[:16]
-    target = _cache_folder() / f"{name}-{key}.so"
-    if target.exists():
-        return target
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        raise BuildError("no C compiler found for the virtual rig", fix="install gcc or set CC")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        built = Path(folder) / target.name
-        command = [compiler, *_FLAGS, "-o", str(built), *map(str, sources), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            first = (done.stderr.strip() or "no message").splitlines()[0]
-            raise BuildError(f"the C compiler refused the virtual rig: {first}", where=sources[0].name)
-        built.replace(target)  # atomic: a second process sees all of it or nothing
-    return target
 
 
 @cache

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.virtual_rig.library import compiled
+from benchmarks.shared_library import compiled
 from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.virtual_rig.library import compiled
+from benchmarks.shared_library import compiled
 from fmuid.core.errors import SimulationError
 from tests.known_rigs.plant import Floats, lagged
 

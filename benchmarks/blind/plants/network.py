@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import os
-import shlex
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.shared_library import compiled
 
 Floats = np.ndarray
 KINDS = ("cond", "spring", "coil", "valve", "motor", "gear", "piston", "heater", "stream", "in", "drag", "dry")
@@ -25,7 +22,6 @@ LAWS = (
 )  # fmt: skip
 READINGS = ("potential", "position", "state", "force")
 _HIDDEN = 4
-_FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")  # the same numbers on every x86-64 machine
 _DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
 _STEP = 0.25  # of the fastest time constant
 _MOST_STEPS = 400
@@ -213,18 +209,7 @@ class Network:
 
 @cache
 def _library() -> ctypes.CDLL:
-    source = Path(__file__).with_name("network.c")
-    key = hashlib.sha256(source.read_bytes() + " ".join(_FLAGS).encode()).hexdigest()[:16]
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fmuid"
-    target = folder / f"network-{key}.so"
-    if not target.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            built = Path(scratch) / target.name
-            compiler = shlex.split(os.environ.get("CC") or "cc")
-            subprocess.run([*compiler, *_FLAGS, "-o", str(built), str(source), "-lm"], check=True)
-            built.replace(target)
-    library = ctypes.CDLL(str(target))
+    library = ctypes.CDLL(str(compiled("network", Path(__file__).with_name("network.c"))))
     arrays = [_DOUBLES] * 6
     library.network_run.restype = ctypes.c_long
     library.network_run.argtypes = [
