@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from fmuid.diagnosis.candidates import approached, beginning, early, fit_effects
+from fmuid.diagnosis.candidates import approached, beginning, drifts, early, fit_effects, over_horizons
 from fmuid.diagnosis.diagnose import _settled
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.observed import Observed
@@ -34,14 +34,26 @@ class Swing(Simulator):
         return (np.sin((w + more) * task.time) + more * task.inputs["u"])[None]
 
 
-@pytest.fixture
-def swing():
+class Forgetful(Swing):
+    """A plant that forgets: a lever, on which friction acts that `w` and `more` do not express."""
+
+    def simulate(self, task, parameters):
+        u = task.inputs["u"]
+        return (parameters["w"] * u + parameters["more"] * np.roll(u, 5))[None]
+
+
+def subject_of(plant, y):
     task = Task(TIME, {"u": np.sign(np.sin(0.3 * TIME))}, ("y",))
     noise = 0.01 * np.random.default_rng(3).standard_normal((3, TIME.size))
-    case = measured_case("free", Swing(), task, {"y": Swing().simulate(task, TRUE) + noise})
+    case = measured_case("free", plant, task, {"y": y(task) + noise})
     model = CampaignModel((replace(case, setup="swing", columns={"T_air": ("degC", TIME)}),))
     unknowns = tuple(Unknown(n, start, 0.0, 3.0, 1e-3) for n, start in (("w", 1.0), ("more", 0.0)))
     return Subject(model, Observed.from_runs(model.runs), unknowns, Catalogue({}, {}, {}), ())
+
+
+@pytest.fixture
+def swing():
+    return subject_of(Swing(), lambda task: Swing().simulate(task, TRUE))
 
 
 def test_growing_horizons_lead_to_what_whole_runs_hide(swing):
@@ -73,6 +85,15 @@ def test_a_nominal_model_that_fits_badly_is_approached_over_growing_horizons(swi
     assert stuck.fit.values["w"] != pytest.approx(TRUE["w"], abs=0.05)
     _, nominal = _settled(nearer, stuck)
     assert nominal.fit.values == pytest.approx(TRUE, abs=1e-3)
+
+
+def test_only_models_that_drift_are_approached_over_growing_horizons(swing, monkeypatch):
+    forgetful = subject_of(Forgetful(), lambda task: Forgetful().simulate(task, TRUE) + 0.2 * np.sin(TIME))
+    stuck = fit_effects(forgetful, (), [{}])
+    assert stuck.gap > 1.0
+    monkeypatch.setattr("fmuid.diagnosis.candidates.approached", None)
+    assert over_horizons(forgetful, (), stuck, forgetful.starts) is stuck
+    assert drifts(swing, fit_effects(swing, (), [{}]))
 
 
 @pytest.mark.parametrize(("samples", "quarter"), [(100, None), (200, None), (300, 75)])

@@ -1,8 +1,9 @@
 """Refits of effects: each with all nominal parameters free, from its best trial, then combined with others.
 
 Growing horizons. Without feedback, a model drifts away from its plant, and where it is far off, the slopes of the
-cost mislead: over a whole run the cost has many minima, over its beginning only few. (Ribeiro, Tiels, Umenberger,
-Schon and Aguirre: On the smoothness of nonlinear system identification. Automatica 121, 2020.)
+cost mislead: over a whole run the cost has many minima, over its beginning only few. Where a plant forgets, so that
+responses to parameters do not grow over a run, the beginning tells nothing that the whole run hides. (Ribeiro,
+Tiels, Umenberger, Schon and Aguirre: On the smoothness of nonlinear system identification. Automatica 121, 2020.)
 
 Standard errors. The refit minimises residuals e of the mean runs whitened by W, so the error of its estimate is
 ``(J'W'WJ)^-1 J'W'W e``. Whitening knows the noise only from the differences of a few repeats, in bands of
@@ -24,6 +25,7 @@ from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.spectrum import PiecewiseWhitener, Whitener
 from fmuid.data.noise.transform import from_real_spectrum
 from fmuid.diagnosis.cross_validation import CHORDS, HeldOut, leave_each_out, predicted_left_out
+from fmuid.diagnosis.extended_model import Prediction, linear_at
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap, project_off
 from fmuid.diagnosis.refit import ITERATIONS, Refit, about, descend, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
@@ -90,6 +92,9 @@ def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> F
 _End = TypeVar("_End", bound=tuple[Any, ...])
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
 _EARLY = _SHARES[1]  # of a run, over which effects are first compared
+_GROWTH = (
+    2.0  # of a response from the first half of the runs to the second: steady is 1, in proportion to time 2.6
+)
 _SHORTEST = 64  # samples in a beginning: a spectrum needs as many
 _ITERATIONS = 6  # of a quick search: on a longer horizon, or with care, another one continues
 _KEPT = 3  # starts that go on to the next horizon
@@ -129,6 +134,32 @@ def _shares(subject: Subject) -> tuple[float, ...]:
     """Return the shares of every run that are beginnings of it: none where runs are predicted in segments."""
     shortest = min(len(case.time) for case in subject.model.cases)
     return () if subject.observed.nuisances else tuple(s for s in _SHARES if shortest * s >= _SHORTEST)
+
+
+def drifts(subject: Subject, fitted: Fitted) -> bool:
+    """Return whether a model drifts away from its plant: the response to some parameter grows over the runs.
+
+    Responses are those at the estimate and, of nominal parameters, at the start values. Where they are unknown, it
+    is assumed to drift.
+    """
+    begin = {**fitted.fit.values, **subject.starts}
+    begin |= {name: value for id in fitted.effects for name, value in subject.by_id[id].neutral.items()}
+    with suppress(SimulationError):
+        points = linear_at(subject.model, [fitted.fit.values, begin], [fitted.fit.unknowns, subject.nominal])
+        return any(_growth(slopes, subject.observed) > _GROWTH for at in points for slopes in at.slopes.values())
+    return True
+
+
+def _growth(slopes: Prediction, observed: Observed) -> float:
+    """Return how many times as large a response is in the second half of the runs, in units of noise."""
+    halves = np.zeros(2)
+    for run, slope in zip(observed.runs, slopes, strict=True):
+        sigma = observed.noise[run.setup].sigma
+        scaled = slope * run.mask / np.array([[sigma[channel]] for channel in run.channels])
+        halves += [np.sum(half**2) for half in np.array_split(scaled, 2, axis=1)]
+    if halves[0] == 0.0:
+        return np.inf if halves[1] > 0.0 else 0.0
+    return float(np.sqrt(halves[1] / halves[0]))
 
 
 def beginning(subject: Subject, share: float) -> Subject:
@@ -296,7 +327,7 @@ def score_further(
 def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
     """Score the effects that `fitted` lacks in early parts of the runs, at a refit of these.
 
-    Empty where runs cannot be shortened.
+    Empty where runs cannot be shortened, or where the model does not drift.
     """
     part, again = refitted_early(subject, fitted)
     return () if again is None else score_further(part, again)
@@ -313,9 +344,12 @@ def score_at_start(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:
-    """Return the subject with only early parts of the runs, and `fitted` refitted to these, None if impossible."""
+    """Return the subject with only early parts of the runs, and `fitted` refitted to these.
+
+    None if runs cannot be shortened, or if the model does not drift.
+    """
     part = early(subject)
-    if part is None:
+    if part is None or not drifts(subject, fitted):
         return subject, None
     effects = [e for e in subject.effects if e.id in fitted.effects]
     return part, fit_effects(part, effects, [fitted.fit.values, {**fitted.fit.values, **subject.starts}])
@@ -423,11 +457,11 @@ def over_horizons(
     start: Mapping[str, float],
     trials: Sequence[Mapping[str, float]] = (),
 ) -> Fitted:
-    """Return a better fit than `fitted`, if that leaves a gap and growing horizons lead to one.
+    """Return a better fit than `fitted`, if that leaves a gap and drifts, and growing horizons lead to one.
 
     They begin at `start`, and at `trials` from there.
     """
-    if fitted.gap <= GAP_THAT_MATTERS:
+    if fitted.gap <= GAP_THAT_MATTERS or not drifts(subject, fitted):
         return fitted
     near = approached(subject, fitted.fit.unknowns, start, trials)
     return fitted if near is None else _if_better(subject, effects, fitted, [near])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -36,6 +37,7 @@ Prediction = tuple[FloatArray, ...]
 _HELD = 0.03  # share of the range by which a held course has to change: the integral of the input stays the same
 _LINED = 0.1  # of one between lines, which follow it more closely
 _WIDTH = 1e-4  # relative width of differences around a simulation, for ties and sensors
+_POSED = 8  # tasks with disturbed signals that are kept for each case: those of a Jacobian
 Direction = tuple[dict[str, float], float]
 """How a model's variables move with one parameter: their proportions, and the size of the move."""
 _Values = frozenset[tuple[str, float]]
@@ -95,7 +97,9 @@ class CampaignModel:
     variant: Callable[[str, Mapping[str, float]], Simulator | None] = lambda _, __: None
     finer: Mapping[frozenset[str], Mapping[str, float]] = field(default_factory=dict)
     _predictor: Predictor[_Key] = field(default_factory=Predictor, init=False, repr=False)
-    _tasks: dict[object, Task] = field(default_factory=dict, init=False, repr=False)
+    _posed: OrderedDict[object, tuple[Disturbed | None, Task]] = field(
+        default_factory=OrderedDict, init=False, repr=False
+    )
     _sensing: dict[tuple[int, tuple[str, ...]], Segmented] = field(default_factory=dict, init=False, repr=False)
     _finer_cases: dict[tuple[int, float], Case] = field(default_factory=dict, init=False, repr=False)
 
@@ -212,10 +216,8 @@ class CampaignModel:
             simulator = self._simulator(case, point)
             if moved and not simulator.differentiates(moved):
                 return _Differentiated()
-            disturbed = _disturbed(case, k, signal, None)
-            task = self._task_along(k, case, directions)
-            if disturbed is not None:
-                task = replace(_task(_Wanted(k, case, values), disturbed), along=task.along)
+            along = tuple(move for move, _ in directions if move)
+            disturbed, task = self._pose(_Wanted(k, case, values), signal, along)
             jobs.append((simulator, task, point))
             moves.append(directions)
             outside.append((signal, disturbed))
@@ -256,13 +258,6 @@ class CampaignModel:
             {n: v for n, v in every.items() if n not in of_model}, self._signals
         )
         return {**plain, **{n: every[n] for n in every if n in of_model}}, disturbed
-
-    def _task_along(self, index: int, case: Case, directions: Sequence[Direction]) -> Task:
-        along = tuple(move for move, _ in directions if move)
-        key = (index, case.task.tolerance, tuple(tuple(move.items()) for move in along))
-        if key not in self._tasks:
-            self._tasks[key] = replace(case.task, along=along)
-        return self._tasks[key]
 
     def expanded(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return `values` with the model variables tied to them; as ``name@owner`` if those have owners."""
@@ -374,7 +369,7 @@ class CampaignModel:
                 if at is not None and id(at) not in split:
                     split[id(at)] = self._split(at)
             values, signal = self._placed(want.case, *split[id(want.values)])
-            disturbed = _disturbed(want.case, want.index, signal, want.drive)
+            disturbed, task = self._pose(want, signal)
             keys.append(_key(want, values, disturbed))
             outside.append((signal, disturbed))
             if keys[-1] not in jobs and keys[-1] not in refused:
@@ -383,7 +378,7 @@ class CampaignModel:
                     if want.near is not None:
                         there, _ = self._placed(want.case, *split[id(want.near)])
                         simulator = _begun(want, simulator, self._simulator(want.case, there), there)
-                    jobs[keys[-1]] = (simulator, _task(want, disturbed), values)
+                    jobs[keys[-1]] = (simulator, task, values)
                 except SimulationError as error:
                     refused[keys[-1]] = error
         simulated = {**self._predictor(jobs, self.runner), **refused}
@@ -393,6 +388,26 @@ class CampaignModel:
             failed = isinstance(outcome, SimulationError)
             results.append(outcome if failed else self._shown(want.case, np.asarray(outcome), disturbing, plain))
         return results
+
+    def _pose(
+        self, want: _Wanted, signal: Effects, along: tuple[Mapping[str, float], ...] = ()
+    ) -> tuple[Disturbed | None, Task]:
+        """Return the task of what is wanted with its signals disturbed, as it was last time if it is the same.
+
+        Signals seldom change with a model's parameters, and a task that is known is prepared already.
+        """
+        if want.drive is not None or not (signal or along):
+            disturbed = _disturbed(want.case, want.index, signal, want.drive)
+            return disturbed, _task(want, disturbed)
+        of_signals = tuple((name, *of_one.items()) for name, of_one in signal.items())
+        key = want.index, want.case.task, of_signals, tuple(tuple(move.items()) for move in along)
+        if key not in self._posed:
+            disturbed = _disturbed(want.case, want.index, signal, None)
+            self._posed[key] = disturbed, replace(_task(want, disturbed), along=along)
+            while len(self._posed) > _POSED * len(self.cases):
+                self._posed.popitem(last=False)
+        self._posed.move_to_end(key)
+        return self._posed[key]
 
     def _shown(
         self,

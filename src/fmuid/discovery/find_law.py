@@ -17,6 +17,7 @@ from fmuid.diagnosis.candidates import (
     Fitted,
     approach,
     approached,
+    drifts,
     estimates,
     fit_effects,
     promising,
@@ -283,6 +284,8 @@ class _Search:
     def _led_out(self, law: Candidate) -> Candidate:
         """Return a law with a better fit, approached over growing horizons, if its fit is in a local minimum."""
         subject, fitted, starts = law.subject, law.fitted, self.outcome.subject.starts
+        if not drifts(subject, fitted):
+            return law
         sizes = {name: fitted.fit.values[name] for name in law.law.sizes}
         shapes = {u.name: u.start for u in law.effect.unknowns if u.name in law.effect.shapes}
         near = approached(subject, fitted.fit.unknowns, {**fitted.fit.values, **starts, **shapes}, [sizes])

@@ -360,7 +360,7 @@ def _lagged(
 
     It is driven by ``begin + slope s + bend s**2``, s from 0 to h, in each of M intervals; exact for that.
     """
-    from scipy.linalg import solve_banded
+    from scipy.linalg.lapack import dtbtrs
 
     keep = np.exp(-h / lag)
     start = begin - lag * slope + 2.0 * lag**2 * bend  # the response it converges to
@@ -368,4 +368,4 @@ def _lagged(
     ends = np.append(first, stop - keep * start)
     # x[k+1] - keep[k] x[k] = ends[k+1]
     bands = np.vstack([np.ones(len(ends)), np.append(-keep, 0.0)])
-    return np.asarray(solve_banded((1, 0), bands, ends))
+    return np.asarray(dtbtrs(bands, ends, uplo="L")[0])
