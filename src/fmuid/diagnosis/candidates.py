@@ -1,8 +1,8 @@
 """Refits of effects: each with all nominal parameters free, from its best trial, then combined with others.
 
 Growing horizons. Without feedback, a model drifts away from its plant, and where it is far off, the slopes of the
-cost mislead: over a whole run the cost has many minima, over its beginning only few. Where a plant forgets, so that
-responses to parameters do not grow over a run, the beginning tells nothing that the whole run hides. (Ribeiro,
+cost mislead: over a whole run the cost has many minima, over its beginning only few. Where a plant forgets, so
+that responses to parameters do not grow over a run, the beginning tells nothing that the whole run hides. (Ribeiro,
 Tiels, Umenberger, Schon and Aguirre: On the smoothness of nonlinear system identification. Automatica 121, 2020.)
 
 Standard errors. The refit minimises residuals e of the mean runs whitened by W, so the error of its estimate is
