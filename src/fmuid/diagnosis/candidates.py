@@ -3,7 +3,8 @@
 Growing horizons. Without feedback, a model drifts away from its plant, and where it is far off, the slopes of the
 cost mislead: over a whole run the cost has many minima, over its beginning only few. Where a plant forgets, so
 that responses to parameters do not grow over a run, its beginning tells nothing that the whole run hides.
-(Ribeiro, Tiels, Umenberger, Schon, Aguirre: On the smoothness of nonlinear system identification. Automatica 121, 2020.)
+(Ribeiro, Tiels, Umenberger, Schon and Aguirre: On the smoothness of nonlinear system identification. Automatica
+121, 2020.)
 
 Standard errors. The refit minimises residuals e of the mean runs whitened by W, so the error of its estimate is
 ``(J'W'WJ)^-1 J'W'W e``. Whitening knows the noise only from the differences of a few repeats, in bands of
