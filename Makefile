@@ -99,7 +99,7 @@ blind-verify: | $(READY)
 
 # Do 50 random plants and their models agree? Before any diagnosis.
 blind-agreement: | $(READY)
-	$(BIN)/python -m benchmarks.blind.agreement $(or $(SEED),1)
+	$(BIN)/python -m benchmarks.blind agreement $(or $(SEED),1)
 
 # By how much designed runs of the actuator reduce standard errors.
 designed-runs: $(DEVELOPER) $(FMUS)
@@ -111,7 +111,7 @@ DRAWS ?= 200
 coverage: $(FMUS) $(FORCE_FEEDBACK)/measurements.h5
 	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS)
 	$(BIN)/python -m benchmarks.interval_coverage $(FORCE_FEEDBACK) linear $(DRAWS) coloured
-	$(BIN)/python -m benchmarks.kinds_of_noise $(DRAWS)
+	$(BIN)/python -m benchmarks.interval_coverage $(DRAWS)
 
 lint: $(DEVELOPER)
 	$(BIN)/ruff check .

@@ -62,21 +62,20 @@ class Beside:
             rows.append([a.experiment, a.signal, a.unit or "", *failed])
         return text_table(rows)
 
-    def overlays(self) -> list[Overlay]:
-        """Return measurement and both predictions of every signal of the validation runs."""
-        drawn = []
-        for k, case in enumerate(self.ours.cases):
-            for row, channel in enumerate(case.channels):
-                lines = tuple(
-                    (label, role, prediction[row])
-                    for label, role, prediction in (
-                        (self.source, "start", self.theirs.predictions[k]),
-                        ("identified", "final", self.ours.predictions[k]),
-                    )
-                    if prediction is not None
-                )
+
+def overlays_of(validations: Mapping[str, Validation], signal: str = "*") -> list[Overlay]:
+    """Return measurements and predictions of validation runs; other models start from the first one."""
+    (first, *_), drawn = validations.values(), []
+    for k, case in enumerate(first.cases):
+        for row, channel in enumerate(case.channels):
+            lines = tuple(
+                (label, "start" if one is first else "final", prediction[row])
+                for label, one in validations.items()
+                if (prediction := one.predictions[k]) is not None
+            )
+            if fnmatchcase(channel.signal, signal):
                 drawn.append(Overlay(case.id, channel.signal, channel.unit or "", case.time, channel.mean, lines))
-        return drawn
+    return drawn
 
 
 def beside(result: Result, campaign: Campaign, source: str) -> Beside:
@@ -111,7 +110,8 @@ def _command(arguments: Sequence[str]) -> None:
     run, source, shown = Path(arguments[0]), arguments[1], (*arguments[2:], "*")[0]
     result = Result.from_json(run)
     compared = beside(result, load_campaign(result.source), source)
-    overlays = [o for o in compared.overlays() if fnmatchcase(o.experiment, shown)]
+    both = overlays_of({source: compared.theirs, "identified": compared.ours})
+    overlays = [o for o in both if fnmatchcase(o.experiment, shown)]
     title = f"Validation runs: measured, and predicted with the parameters of {source} and with those identified"
     print(compared.parameters(), compared.errors(), sep="\n\n")
     print(*save_figure(overlay_figure(f"beside-{source}", title, overlays), run), sep="\n")

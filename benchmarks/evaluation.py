@@ -25,7 +25,6 @@ from timing import Times, in_turn
 import fmuid
 from fmu_build import build
 from fmuid.core.errors import FmuidError
-from fmuid.identification.problem.cases import Case
 from fmuid.identification.problem.derivatives import Differences, NoiseFloor
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.simulation.fmu import load_fmu
@@ -368,7 +367,6 @@ def scaling(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]
     """Return times in s by multiples of the paper's campaign: samples and runs."""
     problem = linear_stage()
     case, space = problem.cases[0], problem.space
-    longer = _lengthened(case)
     rng = np.random.default_rng(0)
 
     def point() -> np.ndarray:
@@ -380,26 +378,13 @@ def scaling(sizes: tuple[int, ...], budget: float) -> dict[str, dict[int, float]
         return lambda: many.evaluate(point())
 
     def samples(times: int) -> Callable[[], object]:
-        simulate, task, values = (
-            case.simulator.simulate,
-            longer(times),
-            case.start_values(space.to_model(space.start)),
-        )
-        return lambda: simulate(task, values)
-
-    return {
-        "samples": grows(sizes, samples, budget),
-        "runs": grows(sizes, runs, budget),
-    }
-
-
-def _lengthened(case: Case) -> Callable[[int], Task]:
-    def longer(times: int) -> Task:
-        n, h = len(case.task.time), case.task.time[1] - case.task.time[0]
-        return replace(
+        h = case.task.time[1] - case.task.time[0]
+        longer = replace(
             case.task,
-            time=h * np.arange(n * times),
+            time=h * np.arange(len(case.task.time) * times),
             inputs={k: np.tile(u, times) for k, u in case.task.inputs.items()},
         )
+        values = case.start_values(space.to_model(space.start))
+        return lambda: case.simulator.simulate(longer, values)
 
-    return longer
+    return {"samples": grows(sizes, samples, budget), "runs": grows(sizes, runs, budget)}

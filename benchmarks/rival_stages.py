@@ -13,18 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.beside_published import overlays_of
 from benchmarks.study_command import run_module
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import CampaignError
 from fmuid.core.files import write_atomically
+from fmuid.core.formatting import text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.identification.check import load_models
 from fmuid.identification.result import Result, StageResult
 from fmuid.identification.validate import Validation, validate
-from fmuid.report.figures import Overlay, overlay_figure
+from fmuid.report.figures import overlay_figure
 from fmuid.report.plots import save_figure
-from fmuid.report.plots.figure_data import Role, Table
+from fmuid.report.plots.figure_data import Table
 
 _PIECES = 6  # of a run, resampled for the interval
 _DRAWS = 4000
@@ -159,16 +161,7 @@ def write_rivals(rivals: Sequence[Rival], signal: str, out: Path) -> tuple[Path,
     """Write the table as CSV, and overlay and errors of the validation runs for the first stage and the best."""
     write_atomically(out / "rivals.csv", table_of(rivals).csv())
     best = min(rivals[1:] or rivals, key=lambda r: r.mean_kept)
-    overlays = []
-    for k, case in enumerate(rivals[0].validation.cases):
-        row = next(i for i, c in enumerate(case.channels) if c.signal == signal)
-        lines: list[tuple[str, Role, FloatArray]] = []
-        for rival, role in ((rivals[0], "start"), (best, "final")):
-            prediction = rival.validation.predictions[k]
-            assert prediction is not None
-            lines.append((rival.stage, "start" if role == "start" else "final", prediction[row]))
-        channel = case.channels[row]
-        overlays.append(Overlay(case.id, signal, channel.unit or "", case.time, channel.mean, tuple(lines)))
+    overlays = overlays_of({r.stage: r.validation for r in (rivals[0], best)}, signal)
     title = f"{rivals[0].stage} and {best.stage} on the validation runs"
     return (out / "rivals.csv", *save_figure(overlay_figure("rivals", title, overlays), out))
 
@@ -184,10 +177,7 @@ def _command(arguments: Sequence[str]) -> None:
     rivals = rivals_of(result, load_campaign(result.source), signal, stages)
     written = write_rivals(rivals, signal, run / f"rivals-{rivals[0].stage}")
     table = table_of(rivals)
-    lines = (table.header, *table.rows)
-    widths = [max(len(str(line[k])) for line in lines) for k in range(len(table.header))]
-    for line in lines:
-        print("  ".join(str(cell).rjust(w) for cell, w in zip(line, widths, strict=True)))
+    print(text_table([[str(cell) for cell in row] for row in (table.header, *table.rows)]))
     print(f"\nmean absolute error (MAE) of {signal}, in thousandths of its unit, mean over the runs; 'better by':")
     print(f"than {rivals[0].stage} on the validation runs, with the 90 % interval over pieces of these runs")
     print(*written, sep="\n")

@@ -19,7 +19,9 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
+from benchmarks.blind.score import in_words
 from benchmarks.study_command import ended
+from benchmarks.timing import table
 from fmuid.core.errors import FmuidError
 from fmuid.core.files import write_atomically
 from fmuid.diagnosis.summary import named, probability
@@ -27,7 +29,21 @@ from fmuid.simulation.pool.workers import WorkerPool
 
 _CHANGES = "changes.csv"
 _CHANGED = "## Changed verdicts"
-_COLUMNS = (
+_REASONS = "Every change since the first version of this page, with its reason as far as the commits give one."
+_INTRODUCTION = """# Diagnoses of the sealed campaigns
+
+Verdicts of fmuid on campaigns whose answers are withheld, case by case, as given; some have
+[changed](#changed-verdicts).
+
+Gaps are in noise floors: with the base model's parameters refitted, and with the verdict's effects.
+The expected closure is for a new experiment, beyond what refitting closes; *unknown* and *complete*
+promise none. [How to read a diagnosis](diagnosis.md);
+[what was known beforehand](quality.md#what-was-known-beforehand)."""
+_HOME = """Campaigns from a foreign rig of the actuator's kind. Made by `make sealed`; each whole answer is in\
+ `sealed/`."""
+_ABROAD = """Rigs of other kinds, each with a plain Modelica model that the catalogue is made from. Made by\
+ `make sealed-abroad`; each whole answer is in `sealed/abroad/`."""
+_COLUMNS = [
     "case",
     "verdict",
     "probability",
@@ -36,7 +52,7 @@ _COLUMNS = (
     "gap, corrected",
     "expected closure",
     "90 %",
-)
+]
 
 
 def diagnose_case(template: Path | None, measurements: Path, target: Path) -> str:
@@ -51,7 +67,7 @@ def diagnose_case(template: Path | None, measurements: Path, target: Path) -> st
     outcome = diagnose(campaign, workers=0)
     answer = answer_of(outcome)
     write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
-    return verdict_in_words(answer)
+    return in_words(answer)
 
 
 def diagnose_folder(
@@ -97,38 +113,9 @@ def page(
     changes: Sequence[Mapping[str, str]] = (),
 ) -> str:
     """Return the Markdown page about diagnoses by case name, of both kinds of campaigns, and their `changes`."""
-    lines = [
-        "# Diagnoses of the sealed campaigns",
-        "",
-        "Verdicts of fmuid on campaigns whose answers are withheld, case by case, as given; some have",
-        "[changed](#changed-verdicts).",
-        "",
-        "Gaps are in noise floors: with the base model's parameters refitted, and with the verdict's effects.",
-        "The expected closure is for a new experiment, beyond what refitting closes; *unknown* and *complete*",
-        "promise none. [How to read a diagnosis](diagnosis.md);",
-        "[what was known beforehand](quality.md#what-was-known-beforehand).",
-        *_section(
-            "At home",
-            home,
-            "Campaigns from a foreign rig of the actuator's kind. Made by `make sealed`; each whole answer is in"
-            " `sealed/`.",
-        ),
-        *_section(
-            "Abroad",
-            abroad,
-            "Rigs of other kinds, each with a plain Modelica model that the catalogue is made from. Made by"
-            " `make sealed-abroad`; each whole answer is in `sealed/abroad/`.",
-        ),
-    ]
+    lines = [_INTRODUCTION, *_section("At home", home, _HOME), *_section("Abroad", abroad, _ABROAD)]
     if changes:
-        lines += [
-            "",
-            _CHANGED,
-            "",
-            "Every change since the first version of this page, with its reason as far as the commits give one.",
-            "",
-            *_table(tuple(changes[0]), [list(change.values()) for change in changes]),
-        ]
+        lines += ["", _CHANGED, "", _REASONS, "", table([*changes[0]], [[*change.values()] for change in changes])]
     lines += ["", "Next: [how good it is](quality.md)."]
     return "\n".join(lines) + "\n"
 
@@ -155,7 +142,7 @@ def _section(title: str, results: Mapping[str, Mapping[str, Any]], introduction:
     if not results:
         return []
     rows = [_row(name, answer) for name, answer in results.items()]
-    lines = ["", f"## {title}", "", introduction, "", *_table(_COLUMNS, rows)]
+    lines = ["", f"## {title}", "", introduction, "", table(_COLUMNS, rows)]
     open_ = [(n, a) for n, a in results.items() if a.get("next_experiment")]
     if open_:
         lines += ["", "What would settle the open ones:", ""]
@@ -166,10 +153,6 @@ def _section(title: str, results: Mapping[str, Mapping[str, Any]], introduction:
     return lines
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in rows)]
-
-
 def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
     verdict, gap = answer["verdict"], answer["gap"]
     closure, interval = "", ""
@@ -178,17 +161,8 @@ def _row(name: str, answer: Mapping[str, Any]) -> list[str]:
         closure, interval = f"{entry['held_out']:.2f}", "{:.2f} … {:.2f}".format(*entry["interval"])
     gaps = [f"{gap[k]:.2f}" for k in ("nominal_refit", "corrected")]
     sure = f"{probability(answer):.2f}"
-    return [name, verdict_in_words(answer), sure, ", ".join(verdict["ports"]), *gaps, closure, interval]
-
-
-def verdict_in_words(answer: Mapping[str, Any]) -> str:
-    """Return the verdict of a diagnosis in a few words."""
-    verdict = answer["verdict"]
-    joined = " and ".join(verdict["effects"])
-    if verdict["one_of"]:
-        either = " or ".join(" and ".join(names) for names in verdict["one_of"])
-        joined = f"{joined} and ({either})" if joined else either
-    return joined if verdict["kind"] == "effect" else f"{verdict['kind']}: {joined}" if joined else verdict["kind"]
+    verdict_in_words = in_words(answer).removeprefix("provisional ").removeprefix("effect: ")
+    return [name, verdict_in_words, sure, ", ".join(verdict["ports"]), *gaps, closure, interval]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

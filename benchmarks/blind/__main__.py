@@ -4,6 +4,7 @@ run SEED      draw cases, diagnose each in a process of its own that knows nothi
 publish SEED  write what is committed of a seed: `benchmarks/blind/published/<seed>/`
 page          write docs/blind.md, and a page on every case of a seed, from what is published
 calibrate SEED  continue the shipped calibration with the rehearsal of a published seed
+agreement SEED  compare random rigs with their models, before any diagnosis
 verify        recompute the page from what is committed, and logs and labels of some cases from their seeds
 """
 
@@ -22,6 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from benchmarks.blind.agreement import disagreements
 from benchmarks.blind.plants.cases import CHECK, REHEARSAL, STRATA, draw_case, numbers, write_case
 from benchmarks.blind.plants.grammar import VERSION
 from benchmarks.blind.plants.network import DivergedError
@@ -198,6 +200,9 @@ def main() -> int:
             one.add_argument("--time-limit", type=float, default=300.0, help="processor time of a case, s")
     commands.add_parser("page")
     commands.add_parser("calibrate").add_argument("seed", type=int)
+    agreement = commands.add_parser("agreement")
+    agreement.add_argument("seed", type=int)
+    agreement.add_argument("--count", type=int, default=50)
     commands.add_parser("verify").add_argument("--regenerate", type=int, default=5, help="cases of each seed")
     given = parser.parse_args()
 
@@ -210,6 +215,8 @@ def main() -> int:
             return []
         if given.command == "verify":
             return verify(given.regenerate)
+        if given.command == "agreement":
+            return disagreements(given.seed, given.count)
         folder = given.work or Path("runs/blind") / str(given.seed)
         labels = given.labels / str(given.seed)
         if given.command == "publish":

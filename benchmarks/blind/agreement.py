@@ -1,4 +1,4 @@
-"""`python -m benchmarks.blind.agreement SEED`: do 50 random rigs agree with their models, before any diagnosis?
+"""Do random rigs agree with their models, before any diagnosis?
 
 The model is built into an FMU and driven by held inputs; the plant has the same parameters, drawn up to a fifth
 off. A disagreement is a mistake in one of them, to be mended; no rig is dropped.
@@ -6,8 +6,6 @@ off. A disagreement is a mistake in one of them, to be mended; no rig is dropped
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from pathlib import Path
 
@@ -45,25 +43,17 @@ def disagreement(rig: Rig, seed: int, folder: Path) -> float:
     return float(np.max(np.abs(error) / np.array(rig.noise)[:, None]))
 
 
-def main() -> int:
-    """Print the disagreement of every rig; return 1 if one is too large."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind.agreement", description=__doc__)
-    parser.add_argument("seed", type=int)
-    parser.add_argument("--count", type=int, default=50)
-    given = parser.parse_args()
+def disagreements(seed: int, count: int) -> list[str]:
+    """Print the disagreement of every rig; return a line if one is too large."""
     worst = 0.0
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(given.count):
-            rig = draw_rig(given.seed, number)
-            error = disagreement(rig, given.seed, Path(folder))
+        for number in range(count):
+            rig = draw_rig(seed, number)
+            error = disagreement(rig, seed, Path(folder))
             worst = max(worst, error)
             print(
                 f"rig {number:3}: {error:8.4f} sigma  {rig.kind}, {rig.components} components, {rig.style}",
                 flush=True,
             )
     print(f"largest: {worst:.4f} sigma, tolerance {TOLERANCE}")
-    return int(worst > TOLERANCE)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return ["a plant and its model disagree"] if worst > TOLERANCE else []

@@ -17,6 +17,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+_KEPT = (
+    "version", "verdict", "gap", "best", "refinements", "equal", "model", "nominal", "corrected_differs",
+)  # fmt: skip
+
 
 def main() -> int:
     """Diagnose one case; return 0, or 3 where there is no answer."""
@@ -65,21 +69,7 @@ def reduced(answer: dict[str, Any]) -> dict[str, Any]:
     for one in answer["answers"][:5]:
         reported |= set(one["effects"])
     reported |= set((answer.get("best") or {}).get("effects", ()))
-    kept = {
-        k: answer.get(k)
-        for k in (
-            "version",
-            "verdict",
-            "gap",
-            "best",
-            "refinements",
-            "equal",
-            "model",
-            "nominal",
-            "corrected_differs",
-        )
-        if k in answer
-    }
+    kept = {k: answer[k] for k in _KEPT if k in answer}
     kept["law_found"] = {k: (answer.get("law_found") or {}).get(k) for k in ("formula", "reason", "closure")}
     kept["where"] = answer["where"][:4]
     kept["answers"] = answer["answers"][:8]

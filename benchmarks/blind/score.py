@@ -235,17 +235,18 @@ class Figure:
 def share(
     name: str,
     cases: Sequence[Scored],
-    holds: Callable[[Scored], bool],
+    holds: Callable[[Scored], bool | None],
     *,
     lower: float | None = None,
     upper: float | None = None,
 ) -> Figure:
-    """Return a share of cases with its interval and that for a new rig."""
-    if not cases:
-        return Figure(name, None, 0, 0, lower, upper)
+    """Return a share with its interval and that for a new rig, of the cases for which `holds` is not None."""
     by_rig: dict[tuple[int, int], list[bool]] = {}
     for case in cases:
-        by_rig.setdefault((case.label["seed"], case.label["rig"]), []).append(bool(holds(case)))
+        if (hit := holds(case)) is not None:
+            by_rig.setdefault((case.label["seed"], case.label["rig"]), []).append(bool(hit))
+    if not by_rig:
+        return Figure(name, None, 0, 0, lower, upper)
     hits = np.array([sum(x) for x in by_rig.values()], dtype=float)
     sizes = np.array([len(x) for x in by_rig.values()], dtype=float)
     n, k = sizes.sum(), len(sizes)
@@ -277,7 +278,6 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
         for r in (True, False)
     }
     both = {s: by[s, True] + by[s, False] for s in STRATA}
-    sizes, closures = _known(cases, _size_covered), _known(cases, _closure_covered)
     seconds = [float(c.record["seconds"]) for c in cases if "seconds" in c.record]
     tables = [x for c in both["unknown"] if (x := _learned(c)) is not None]
     catalogue_shaped = [c for c in everything if c.label["own_shape"] and not c.label["twin_of"]]
@@ -294,28 +294,11 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
         share("a coefficient that varies: it and its variable right", both["varies"], _right, lower=0.75),
         share("unknown: place right", both["unknown"], lambda c: c.placed, lower=0.85),
         Figure("unknown: corrected/ closes on left-out runs, median", _median(tables), len(tables), lower=0.7),
-        share(
-            "unknown: an equation is found",
-            [c for c in both["unknown"] if c.answer],
-            lambda c: bool(((c.answer or {}).get("law_found") or {}).get("formula")),
-        ),
+        share("unknown: an equation is found", both["unknown"], _equation_found),
         share("two effects: both right", both["two"], _right, lower=0.80),
-        share(
-            "size inside its 90 % interval", [c for c, _ in sizes], lambda c: _of(sizes, c), lower=0.85, upper=0.95
-        ),
-        share(
-            "promised closure kept on a new run",
-            [c for c, _ in closures],
-            lambda c: _of(closures, c),
-            lower=0.85,
-            upper=0.95,
-        ),
-        share(
-            "corrected/ is the fitted model, to 0.05 standard deviations",
-            [c for c in cases if c.answer and c.answer.get("corrected_differs") is not None],
-            lambda c: bool(c.answer and c.answer["corrected_differs"] <= 0.05),
-            lower=1.0,
-        ),
+        share("size inside its 90 % interval", cases, _size_covered, lower=0.85, upper=0.95),
+        share("promised closure kept on a new run", cases, _closure_covered, lower=0.85, upper=0.95),
+        share("corrected/ is the fitted model, to 0.05 standard deviations", cases, _corrected, lower=1.0),
         Figure("calibration error of the likeliest answer", *calibration(cases), upper=0.03),
         _same_information(everything),
         Figure("median processor time, s", _median(seconds), len(seconds), upper=10.0),
@@ -334,20 +317,21 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
     ]
 
 
-def _known(cases: Sequence[Scored], covered: Callable[[Scored], bool | None]) -> list[tuple[Scored, bool]]:
-    return [(case, x) for case in cases if (x := covered(case)) is not None]
-
-
-def _of(known: Sequence[tuple[Scored, bool]], case: Scored) -> bool:
-    return next(x for c, x in known if c is case)
-
-
 def _right(case: Scored) -> bool:
     return case.right
 
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
+
+
+def _equation_found(case: Scored) -> bool | None:
+    return bool((case.answer.get("law_found") or {}).get("formula")) if case.answer else None
+
+
+def _corrected(case: Scored) -> bool | None:
+    differs = (case.answer or {}).get("corrected_differs")
+    return None if differs is None else bool(differs <= 0.05)
 
 
 def _size_covered(case: Scored) -> bool | None:

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from benchmarks.interval_coverage import KINDS, WRONG, drawn_campaigns, interval_coverage, main
-from benchmarks.kinds_of_noise import Lag, light_campaign, light_coverage, new_run_coverage
-from benchmarks.kinds_of_noise import main as kinds_of_noise
+from benchmarks.interval_coverage import (
+    KINDS,
+    WRONG,
+    Lag,
+    drawn_campaigns,
+    interval_coverage,
+    light_campaign,
+    light_coverage,
+    main,
+    new_run_coverage,
+)
 from fmuid import CriterionSpec, ParameterSpec, Simulator, identify, validate
 from fmuid.core.errors import ProblemError
 from tests.identification.test_held import LEVEL, SLOPE, campaign, line
@@ -74,7 +82,7 @@ def test_the_light_model_is_measured_under_each_kind_of_noise():
     gain = light_coverage("gain", 10, runs=2)
     assert gain.shares[0] < 0.8  # nothing shows how much it varies ...
     assert np.all(gain.warned == 1.0)  # ... and the table of the stage says so
-    assert kinds_of_noise(["0"]) == 2
+    assert main(["0"]) == 2
 
 
 @pytest.mark.parametrize("kind", WRONG)

@@ -28,13 +28,7 @@ AT_INPUTS = ("gain", "offset", "delay", "lag", "saturation", "dead_zone")
 AT_OUTPUTS = ("gain", "offset", "drift", "lag", "delay", "crosstalk")
 _PARTS = 8  # of a sample, in which late signals are followed
 # Largest plausible sizes, in units:
-_MOST = {
-    "gain": 4.0,
-    "saturation": 8.0,
-    "dead_zone": 6.0,
-    "coefficient": 8.0,
-    "varies": 100.0,
-}  # largest plausible sizes, in units
+_MOST = {"gain": 4.0, "saturation": 8.0, "dead_zone": 6.0, "coefficient": 8.0, "varies": 100.0}
 
 
 @dataclass(frozen=True)
