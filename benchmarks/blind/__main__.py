@@ -24,12 +24,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.blind.agreement import disagreements
-from benchmarks.blind.plants.cases import CHECK, REHEARSAL, STRATA, draw_case, numbers, write_case
+from benchmarks.blind.plants.cases import CHECK, REHEARSAL, STRATA, draw_case, measured, numbers, write_case
 from benchmarks.blind.plants.grammar import VERSION
 from benchmarks.blind.plants.network import DivergedError
 from benchmarks.study_command import ended
 
 PUBLISHED = Path(__file__).with_name("published")
+_SAME_GAP = 0.02  # of a gap: how far refits may end apart on other processors
 PAGE = Path(__file__).parents[2] / "docs" / "blind.md"
 
 
@@ -96,9 +97,22 @@ def publish(seed: int, work: Path, labels: Path) -> Path:
     (target / "labels.jsonl").write_text(_lines(made), encoding="utf-8")
     (target / "answers.jsonl").write_text(_lines(records), encoding="utf-8")
     (target / "logs.sha256").write_text("\n".join(hashes) + "\n", encoding="utf-8")
+    _measure(target, made)
     told = {"seed": seed, "grammar": VERSION, "commit": commit, "cases": len(made), "answers": len(records)}
     (target / "seed.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     return target
+
+
+def _measure(target: Path, labels: Iterable[Mapping[str, Any]]) -> None:
+    """Write what real refits leave of every case (`measured`), one line at a time; continue where that ended."""
+    file = target / "measured.jsonl"
+    known = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    done = {json.loads(line)["case"] for line in known}
+    with file.open("a", encoding="utf-8") as lines:
+        for label in (one for one in labels if one["case"] not in done):
+            case = draw_case(label["seed"], label["number"], named=False)
+            lines.write(_lines([{"case": label["case"], **measured(case)}]))
+            lines.flush()
 
 
 def calibrate(seed: int) -> None:
@@ -171,8 +185,10 @@ def verify(count: int) -> list[str]:
                     wrong.append(
                         f"seed {seed.seed}: the logs of {name} are not those that its hashes were published of"
                     )
-                if _coarse(case.label) != _coarse(labels[name]):
+                if _coarse(case.label) != _coarse({k: labels[name][k] for k in case.label}):
                     wrong.append(f"seed {seed.seed}: the label of {name} is not what the seed gives")
+                if abs(measured(case)["gap"] / seed.measured[name]["gap"] - 1.0) > _SAME_GAP:
+                    wrong.append(f"seed {seed.seed}: the gap of {name} is not what the seed gives")
         print(
             f"seed {seed.seed}: {len(seed.labels)} cases, logs and labels of {len(chosen)} made again", flush=True
         )

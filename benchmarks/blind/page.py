@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.plants.cases import CHECK, REHEARSAL
-from benchmarks.blind.score import Figure, Scored, figures, in_words, regimes, share
+from benchmarks.blind.score import Figure, Scored, as_measured, figures, in_words, regimes, share
 from benchmarks.timing import table
 
 _INTRODUCTION = """\
@@ -26,8 +26,7 @@ background of three to six small effects, and by what is asked for: nothing, one
 catalogue's kinds in shapes that are not the catalogue's, a coefficient that varies, something that no catalogue
 has, or an effect in one operating regime only. Logs are as they come: six of ten are single runs; some start in
 motion, run in a closed loop, have the timing of a PLC or columns that nothing uses; one file in twenty is damaged.
-Rigs are light: runs have 120 to 200 samples, no time constant is below a fifth of a sample, and large rigs are
-drawn less often: 400 cases have to end within three hours on two cores.
+Rigs are light (120 to 200 samples a run): 400 cases have to end within three hours on two cores.
 
 `fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
 whole, in `benchmarks/blind/published/<seed>/`: version of the grammar, labels, answers, SHA-256 of every log.
@@ -40,7 +39,9 @@ The first {rehearsal} cases of a seed are a rehearsal, whose labels may be read 
 Before any diagnosis, 50 random rigs were compared with their models: `make blind-agreement` (largest difference
 0.001 standard deviations of the noise).
 
-A gap is in noise floors of a sample after a refit of all parameters. Effects that a case's runs cannot tell
+A gap is in noise floors of a sample after a refit of all parameters. Sizes are drawn by quick refits; the label
+then says what refits to the end leave (`measured.jsonl`). An effect that leaves less than a floor is one of the
+background; the last column has the figures with labels as drawn. Effects that a case's runs cannot tell
 apart (less than 3 standard deviations over all runs, by the plant) count as one, coefficients that vary included;
 a drag is a damper that grows with speed. A model whose gap is below its tolerance, one floor, is complete. The
 background's effects may be named, and what the runs cannot tell from one of them that is visible itself. Intervals
@@ -65,11 +66,16 @@ class Seed:
     labels: list[dict[str, Any]]
     records: dict[str, dict[str, Any]]
     reasons: dict[str, str]
+    measured: dict[str, dict[str, Any]]
 
-    def cases(self, first: int, last: int) -> list[Scored]:
-        """Return the cases of these numbers that were diagnosed."""
+    def cases(self, first: int, last: int, *, drawn: bool = False) -> list[Scored]:
+        """Return the cases of these numbers that were diagnosed, with labels as measured, or as `drawn`."""
+        known = {} if drawn else self.measured
         return [
-            Scored(label, self.records[label["case"]])
+            Scored(
+                as_measured(label, known[label["case"]]) if label["case"] in known else label,
+                self.records[label["case"]],
+            )
             for label in self.labels
             if first <= label["number"] < last and label["case"] in self.records
         ]
@@ -80,15 +86,15 @@ def read_published(folder: Path) -> list[Seed]:
     seeds = []
     for file in sorted(folder.glob("*/seed.json")):
         told = json.loads(file.read_text())
-        labels, records = (
+        labels, records, measured = (
             [json.loads(line) for line in (file.parent / name).read_text().splitlines()]
-            for name in ("labels.jsonl", "answers.jsonl")
+            for name in ("labels.jsonl", "answers.jsonl", "measured.jsonl")
         )
         reasons = file.with_name("reasons.json")
         seeds.append(
             Seed(
                 told["seed"], told, labels, {r["case"]: r for r in records},
-                json.loads(reasons.read_text()) if reasons.is_file() else {},
+                json.loads(reasons.read_text()) if reasons.is_file() else {}, {m["case"]: m for m in measured},
             )
         )  # fmt: skip
     return seeds
@@ -98,7 +104,7 @@ def page(seeds: Sequence[Seed]) -> str:
     """Return the Markdown page about published seeds."""
     parts = [_INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)]
     for seed in seeds:
-        parts += [_section(title, seed, cases, count) for title, cases, count in _grids(seed)]
+        parts += [_section(seed, grid) for grid in _grids(seed)]
     if len(parts) == 1:
         parts.append("No seed has been published yet.\n")
     parts.append("Next: [how good it is](quality.md).\n")
@@ -108,30 +114,45 @@ def page(seeds: Sequence[Seed]) -> str:
 def case_by_case(seed: Seed) -> str:
     """Return the Markdown page of a seed with every group of cases and every case that is not right."""
     parts = [f"# Seed {seed.seed}, case by case\n"]
-    for title, cases, _ in _grids(seed):
+    for grid in _grids(seed):
+        cases = grid.cases
         others = [f for f in figures(cases) if f.lower is None and f.upper is None]
-        parts += [f"## {title}\n", "### Figures without an aim\n", _aims(others)]
+        parts += [f"## {grid.title}\n", "### Figures without an aim\n", _aims(others)]
         parts += ["### By stratum, repeats, noise and rig\n", _shares(cases)]
         parts += ["### Every case that is not right\n", _misses(seed, cases)]
     return "\n".join(parts)
 
 
-def _grids(seed: Seed) -> list[tuple[str, list[Scored], int]]:
+@dataclass(frozen=True)
+class _Grid:
+    """Cases of a seed, `count` when all are diagnosed, with labels as measured and as drawn."""
+
+    title: str
+    count: int
+    cases: list[Scored]
+    drawn: list[Scored]
+
+
+def _grids(seed: Seed) -> list[_Grid]:
     grids = (("the check", REHEARSAL, CHECK), ("a rehearsal", 0, REHEARSAL))
-    every = ((f"Seed {seed.seed}: {title}", seed.cases(n, n + count), count) for title, n, count in grids)
-    return [grid for grid in every if grid[1]]
+    every = (
+        _Grid(f"Seed {seed.seed}: {title}", count, seed.cases(n, n + count), seed.cases(n, n + count, drawn=True))
+        for title, n, count in grids
+    )
+    return [grid for grid in every if grid.cases]
 
 
-def _section(title: str, seed: Seed, cases: Sequence[Scored], count: int) -> str:
+def _section(seed: Seed, grid: _Grid) -> str:
+    cases, count = grid.cases, grid.count
     part = f"The first {len(cases)} of {count} cases," if len(cases) < count else f"{count} cases"
     rigs = len({c.label["rig"] for c in cases})
     lines = [
-        f"## {title}",
+        f"## {grid.title}",
         "",
         f"{part} on {rigs} rigs, diagnosed by commit `{seed.told['commit'][:10]}`, grammar"
         f" {seed.told['grammar']}.",
         "",
-        _aims([f for f in figures(cases) if f.lower is not None or f.upper is not None]),
+        _aims([f for f in figures(cases) if f.lower is not None or f.upper is not None], figures(grid.drawn)),
         "### Effects in one regime only",
         "",
         _REGIMES,
@@ -169,18 +190,21 @@ def number(value: float | None) -> str:
     return f"{value:.{3 if 0 < abs(value) < 0.01 else 2 if abs(value) < 10 else 0}f}"
 
 
-def _aims(every: Sequence[Figure]) -> str:
+def _aims(every: Sequence[Figure], drawn: Sequence[Figure] = ()) -> str:
     def bounds(pair: tuple[float, float] | None) -> str:
         return "" if pair is None else f"{pair[0]:.2f} to {pair[1]:.2f}"
 
     rows = []
+    as_drawn = {f.name: f.value for f in drawn}
     for f in every:
         aim = f"{f.lower:g} to {f.upper:g}" if f.lower is not None and f.upper is not None else ""
         aim = aim or (f"≥ {f.lower:g}" if f.lower is not None else f"≤ {f.upper:g}" if f.upper is not None else "")
         met = {True: "yes", False: "no", None: ""}[f.met]
         intervals = [bounds(f.interval), bounds(f.new_rig)]
-        rows.append([f.name, aim, number(f.value), *intervals, str(f.cases), str(f.rigs or ""), met])
-    return table(["figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met"], rows) + "\n"
+        before = [number(as_drawn[f.name])] if drawn else []
+        rows.append([f.name, aim, number(f.value), *intervals, str(f.cases), str(f.rigs or ""), met, *before])
+    columns = ["figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met"]
+    return table([*columns, *(["as drawn"] if drawn else [])], rows) + "\n"
 
 
 def _shares(cases: Sequence[Scored]) -> str:

@@ -52,6 +52,24 @@ def in_words(answer: Mapping[str, Any]) -> str:
     return f"{kind}: {joined}" if joined else kind
 
 
+def as_measured(label: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a label by what real refits leave (`cases.measured`).
+
+    An effect that leaves less than a floor, the others being known, is one of the background, and a case without
+    another effect is complete, unless all of it together leaves a floor or more: its background is then loud.
+    """
+    visible = {e: gap >= 1.0 for e, gap in zip(label["effects"], measured["alone"], strict=True)}
+    effects = [e for e in label["effects"] if visible[e]]
+    hidden = [n for e in label["effects"] if not visible[e] for n in (e, *label["same"].get(e, ()))]
+    stratum = label["stratum"] if len(effects) == len(label["effects"]) else "one" if effects else "none"
+    return {
+        **label, **{k: measured[k] for k in ("gap", "background", "determined")},
+        "effects": effects, "background_effects": [*label["background_effects"], *hidden], "stratum": stratum,
+        "loud": label["loud"] or (stratum == "none" and measured["gap"] >= 1.0),
+        "sizes": {e: v for e, v in label["sizes"].items() if visible[e]},
+    }  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Scored:
     """A case: its label and what was answered, as JSON; see the module."""
@@ -103,7 +121,7 @@ class Scored:
         """Whether the verdict is exactly right."""
         truths, stratum = self.label["effects"], self.label["stratum"]
         if self.kind == "complete":  # so is a model to its tolerance, a noise floor
-            return stratum == "none" or float(self.label["gap"]) < 1.0
+            return float(self.label["gap"]) < 1.0
         if stratum == "none":
             return False
         if stratum == "unknown" and self.kind == "unknown":
@@ -177,10 +195,10 @@ class Scored:
             return "no answer"
         if self.kind == "insufficient":
             return "not enough data to say"
-        if self.label["stratum"] == "none":
-            return "a complete model is not called complete"
         if self.kind == "complete":
             return "the gap is not seen"
+        if self.label["stratum"] == "none":
+            return "a complete model is not called complete"
         if self.wrong:
             return "another effect is named" + (", provisionally" if self.provisional else "")
         if self.kind == "unknown":

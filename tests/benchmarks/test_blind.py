@@ -19,7 +19,7 @@ from benchmarks.blind.plants.cases import draw_case, numbers, stratum_of, write_
 from benchmarks.blind.plants.effects import SHAPES, Effect, candidates, other_names, usual, varying
 from benchmarks.blind.plants.grammar import draw_rig, wave
 from benchmarks.blind.plants.readings import Gaps, Run, Way, simulate
-from benchmarks.blind.score import Scored, bias, figures, localisation, share
+from benchmarks.blind.score import Scored, as_measured, bias, figures, localisation, share
 
 LABEL = {
     "seed": 1, "rig": 0, "case": "c0000", "number": 0, "stratum": "one", "effects": ["lag@y"], "same": {"lag@y": ["delay@y"]},
@@ -170,6 +170,23 @@ def test_a_model_is_complete_to_its_tolerance():
 
 
 @pytest.mark.parametrize(
+    ("alone", "gap", "stratum", "complete", "named", "loud"),
+    [
+        ([3.0], 3.0, "one", False, True, False),
+        ([0.4], 0.5, "none", True, False, False),  # the parameters take up the effect
+        ([0.4], 1.6, "none", False, False, True),
+    ],
+)
+def test_a_label_says_what_refits_to_the_end_leave(alone, gap, stratum, complete, named, loud):
+    label = as_measured(LABEL, {"alone": alone, "gap": gap, "background": 0.3, "determined": []})
+    assert (label["stratum"], label["loud"], label["gap"], label["determined"]) == (stratum, loud, gap, [])
+    verdicts = [scored(kind="complete"), scored(effects=["lag@y"]), scored(effects=["drift@y"])]
+    cases = [Scored(label, one.record) for one in verdicts]
+    assert [case.right for case in cases] == [complete, named, False]
+    assert [case.wrong for case in cases] == [False, False, True]
+
+
+@pytest.mark.parametrize(
     ("truth", "parameter", "units", "value"),
     [
         ("quadratic@cart", "cart.quadratic", False, 1.0),
@@ -303,6 +320,9 @@ def test_the_page_is_what_is_published_and_a_changed_answer_is_noticed(tmp_path,
     answers.write_text(answers.read_text().replace('"complete"', '"unknown"'))
     (folder / "logs.sha256").write_text((folder / "logs.sha256").read_text().replace("  c", "0  c", 1))
     assert len(verify(1)) == 3  # both pages and the logs
+    measured = folder / "measured.jsonl"
+    measured.write_text(measured.read_text().replace('"gap":', '"gap":9'))
+    assert any("the gap of c0016" in line for line in verify(1))
     labels = folder / "labels.jsonl"
     labels.write_text(labels.read_text().replace('"stratum":"', '"stratum":"x'))
     assert any("the label of c0016" in line for line in verify(1))

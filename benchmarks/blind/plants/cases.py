@@ -94,22 +94,39 @@ def numbers(seed: int, first: int, count: int, only: str | None = None) -> list[
     return list(itertools.islice(every, count) if only else range(first, first + count))
 
 
-def draw_case(seed: int, number: int) -> Case:
-    """Return case `number` of a seed; a plant that cannot be simulated is drawn again."""
+def draw_case(seed: int, number: int, *, named: bool = True) -> Case:
+    """Return case `number` of a seed; a plant that cannot be simulated is drawn again.
+
+    Unless `named`, its label lacks the other names of its effects and their sizes, which take most of the time.
+    """
     if number % _TWIN == _TWIN - 1:
-        case = draw_case(seed, number - 1)
+        case = draw_case(seed, number - 1, named=named)
         units, columns = not case.label["units"], not case.label["columns"]
         changed = {"case": f"c{number:04d}", "number": number, "twin_of": case.label["case"], "damaged": []}
         return replace(case, label={**case.label, **changed, "units": units, "columns": columns})
     for attempt in range(50):
         try:
-            return _drawn(seed, number, np.random.default_rng([seed, number, attempt, 5]))
+            return _drawn(seed, number, np.random.default_rng([seed, number, attempt, 5]), named=named)
         except (DivergedError, LookupError):
             continue
     raise DivergedError(f"no case {number} of seed {seed}")
 
 
-def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
+def measured(case: Case) -> dict[str, Any]:
+    """Return what real refits leave of a case: the gap of all that the model lacks, and of parts of it.
+
+    `alone` has an entry for every effect of the label, the others being known; `background` is that of the small
+    effects alone.
+    """
+    gaps = Gaps(case.rig, case.values, case.runs, case.way, case.typical, "white")
+    effects, background = np.split(np.array(case.effects, dtype=object), [len(case.label["effects"])])
+    others = [[o for o in effects if o is not e] for e in effects]
+    alone = [gaps.refitted([e], known) for e, known in zip(effects, others, strict=True)]
+    left = {"gap": gaps.refitted([*case.effects]), "background": gaps.refitted([*background]), "alone": alone}
+    return dict(_plain({**left, "determined": gaps.determined()}))
+
+
+def _drawn(seed: int, number: int, rng: np.random.Generator, *, named: bool) -> Case:
     rig, stratum = draw_rig(seed, number // PER_RIG), stratum_of(seed, number)
     values = {n: float(f"{v * np.exp(rng.uniform(-0.2, 0.2)):.6g}") for n, v in rig.nominal.items()}
     repeats, noise = int(rng.choice(_REPEATS)), str(rng.choice(_NOISE))
@@ -161,11 +178,11 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
     background = [replace(b, size=b.size * factor) for b in background]
     effects = [c.effect for c in chosen]
     same, as_well, names = {}, {}, [*known, *other_names(rig, typical)]
-    for one, name in zip(chosen, label["effects"], strict=True):
+    for one, name in zip(chosen, label["effects"], strict=True) if named else ():
         same[name], as_well[name] = telling.twins_of(one.effect, names, repeats, one.id)
         if one.law in _CONTAINED and rig.network.nodes[one.effect.where].domain == "rotational":
             same[name].append(f"{_CONTAINED[one.law]}@{one.place}")
-    twins = {n for b in background for n in telling.twins_of(b, names, repeats)[0]}
+    twins = {n for b in background for n in telling.twins_of(b, names, repeats)[0]} if named else set()
     background_same = sorted(twins - set(behind))
     together = gaps.gap(effects, background) if effects else 0.0
     if not np.isfinite(together) or abs(total / wanted - 1.0) > 0.3 or (effects and together < 0.95):
@@ -181,10 +198,10 @@ def _drawn(seed: int, number: int, rng: np.random.Generator) -> Case:
         "as_well": as_well,
         "gap": together, "background": total, "loud": loud, "background_effects": behind,
         "repeats": repeats, "noise": noise, "experiments": count, "timing": timing, "moving": moving,
-        "closed": sum(c is not None for c in controllers), "values": values, "determined": gaps.determined,
+        "closed": sum(c is not None for c in controllers), "values": values,
         "damaged": rng.choice(_DAMAGE, rng.binomial(count * repeats, _BAD)).tolist(),
         "twin_of": None, "columns": bool(rng.random() < 0.4), "units": bool(rng.random() < 0.15),
-        "background_same": background_same, "sizes": _sizes(gaps, chosen, known),
+        "background_same": background_same, "sizes": _sizes(gaps, chosen, known) if named else {},
     }  # fmt: skip
     if stratum == "regime":
         label["regime"] |= _regime_traces(rig, network, runs, way, typical, effects, label["regime"])

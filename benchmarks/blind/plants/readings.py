@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from benchmarks.blind.plants.effects import Candidate, Effect, SignalEffect, Usual, acting, parts_of
@@ -15,6 +16,8 @@ from benchmarks.blind.plants.network import Controller, DivergedError, Floats, N
 MEMORY = 20.0  # samples, of coloured noise
 _STEP = 1e-3  # of a parameter's logarithm, for derivatives
 _REFITS = 12  # steps to the best size of a candidate
+_RANGE = float(np.log(10.0))  # of a parameter's logarithm, as `fmuid init` sets it
+_DIVERGED = 1e3  # standard deviations of every sample of a model that cannot be simulated
 _APART = 3.0  # standard deviations, below which two effects are the same to the sensors
 Any_ = Effect | SignalEffect
 _SHARP = {"stribeck", "coulomb", "presliding", "hysteresis", "backlash", "asymmetry", "voltage_drop", "relay"}
@@ -113,12 +116,15 @@ class Gaps:
         keep = s > 1e-5 * s[0]
         self._basis = u[:, keep]
         self._inverse = (vt[keep].T / s[keep]) @ u[:, keep].T
-        # A parameter that the runs determine has no share in a direction that they do not.
-        self.determined = [
-            p.name
-            for k, p in enumerate(rig.parameters)
-            if np.sum(vt[~keep, k] ** 2) < 1e-6 and s.size == len(keep)
-        ]
+
+    def determined(self) -> list[str]:
+        """Return the parameters that the runs determine: they have no share in a direction that those do not."""
+        names = [p.name for p in self.rig.parameters]
+        both = ([self.readings({n: h}) for n in names] for h in (_STEP, -_STEP))
+        columns = [(after - before) / (2 * _STEP) for after, before in zip(*both, strict=True)]
+        _, s, vt = np.linalg.svd(np.column_stack(columns), full_matrices=False)
+        free = vt[s <= 1e-5 * s[0]]  # differences are exact to the square of their step
+        return [n for k, n in enumerate(names) if np.sum(free[:, k] ** 2) < 1e-6]
 
     def readings(self, moved: Mapping[str, float], effects: Sequence[Any_] = ()) -> Floats:
         """Return all readings in standard deviations, whitened, one behind the other."""
@@ -156,6 +162,24 @@ class Gaps:
         except DivergedError:
             return np.inf
         return float(np.sqrt(np.mean(left**2)))
+
+    def refitted(self, effects: Sequence[Any_], beside: Sequence[Any_] = ()) -> float:
+        """Return the gap that a refit of all parameters to the end leaves, over the whole range a user allows.
+
+        `gap` is quicker, for drawing sizes: a few steps from the true values. Where parameters are hardly
+        determined or take up most of an effect, it may be far from this one.
+        """
+        target = self.readings({}, [*effects, *beside])
+        names = [p.name for p in self.rig.parameters]
+
+        def left(x: Floats) -> Floats:
+            try:
+                return self.readings(dict(zip(names, x.tolist(), strict=True)), beside) - target
+            except DivergedError:
+                return np.full_like(target, _DIVERGED)
+
+        fit = least_squares(left, np.zeros(len(names)), bounds=(-_RANGE, _RANGE), diff_step=1e-4, max_nfev=30)
+        return float(np.sqrt(np.mean(fit.fun**2)))
 
     def sized(self, candidate: Candidate, target: float, sign: float = 1.0) -> tuple[Any_, float]:
         """Return a candidate at the size whose gap comes close to `target`, and that gap.
