@@ -424,7 +424,7 @@ def _errors(outcome: Found) -> dict[str, float | None]:
     """Return standard errors of the corrected model; `best` has those of a law found or a table."""
     if outcome.diagnosis.model != outcome.subject.model.expanded(outcome.corrected.fit.values):
         return {}
-    known = estimates(outcome.corrected, outcome.subject)
+    known = estimates(outcome.corrected, outcome.subject, outcome.nominal, outcome.scores)
     return {name: e.standard_error for name, e in known.items()}
 
 

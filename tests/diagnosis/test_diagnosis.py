@@ -7,10 +7,11 @@ from importlib.resources import files
 import jsonschema
 import numpy as np
 import pytest
-from plants import EFFECTS, PORTS, TWIN, plant
+from plants import EFFECTS, PORTS, TWIN, N, misread, plant
 
 from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.diagnosis.subject import without_spikes
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
@@ -51,6 +52,26 @@ def test_a_complete_model_is_called_complete():
     assert answer["gap"]["nominal"] > 10 * answer["gap"]["nominal_refit"]
     assert answer["answers"][0]["effects"] == ["none"]
     assert answer["model"]["parameters"] == pytest.approx({"m": 1.0, "d": 0.8, "Fc": 0.5}, rel=5e-3)
+
+
+def test_spikes_that_a_signal_s_motion_hides_are_left_out_of_runs_without_repeats():
+    spikes = np.zeros(N)
+    spikes[np.random.default_rng(1).choice(np.arange(2, N - 2, 3), 6, replace=False)] = 0.04
+    subject = misread(plant({}, repeats=1), lambda v, t: spikes)
+    answer = check(diagnose_subject(subject))
+    assert says(answer) == ("complete", [], [], [])
+    assert {o["samples"] for o in answer["outliers"]} == {6}
+    assert len(answer["outliers"]) == len(subject.observed.runs)
+    assert "6 spiked samples" in answer["notes"][0]
+
+
+def test_what_follows_a_jump_of_an_input_or_lasts_longer_is_no_spike():
+    for late in (
+        plant({}, repeats=1, delay=5e-3),
+        misread(plant({}, repeats=1), lambda v, t: 0.04 * (t % 0.7 < 0.01)),
+    ):
+        (predicted,) = late.model.predict([{"m": 1.0, "d": 0.8, "Fc": 0.5}])
+        assert without_spikes(late, predicted, {}) is late
 
 
 @pytest.mark.parametrize("repeats", [2, 5])

@@ -27,7 +27,7 @@ from fmuid.data.noise.spectrum import PiecewiseWhitener, Whitener
 from fmuid.data.noise.transform import from_real_spectrum
 from fmuid.diagnosis.cross_validation import CHORDS, HeldOut, leave_each_out, predicted_left_out
 from fmuid.diagnosis.extended_model import Prediction, linear_at
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap, project_off
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excesses, gap, project_off
 from fmuid.diagnosis.refit import ITERATIONS, Refit, about, descend, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 from fmuid.diagnosis.subject import Subject
@@ -36,6 +36,7 @@ from fmuid.effects.effect import Effect, Unknown
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.uncertainty.coloured_residuals import Record, coloured_covariance
 
+_OTHERS = 100  # effects that stand for all that a model may lack
 _DETERMINED = 1e-6  # smallest singular value of unit columns, relative to the largest
 
 
@@ -525,13 +526,51 @@ def _best_start(
     return starts[best], costs[best]
 
 
-def estimates(fitted: Fitted, subject: Subject) -> dict[str, Estimate]:
-    """Return every parameter with its standard error, which is None if the data do not determine it."""
+def errors_of_the_rest(fitted: Fitted, observed: Observed, nominal: Fitted, scores: Sequence[Score]) -> FloatArray:
+    """Return the (P,) errors of a refit's parameters by small effects that its model lacks.
+
+    What a model leaves beyond the noise shows only the part of an unmodelled effect that its parameters cannot
+    imitate; the other part is in their estimates. Each effect that was scored at the `nominal` model and is not in
+    this one is taken at the size that leaves as much as this model does, or at its trial's if that is less. The
+    variance is the mean over these effects.
+    """
+    jacobian = stack(fitted.fit.jacobian, observed)
+    beyond, count = excesses(fitted.fit.residuals, observed)
+    left = float(np.sqrt(max(float((beyond * count) @ observed.repeats), 0.0)))
+    norms = np.linalg.norm(jacobian, axis=0)
+    others = [(s.signature, s.within, s.length) for s in scores if s.effect not in fitted.effects]
+    others = others[:: max(len(others) // _OTHERS, 1)]
+    variance = np.zeros(len(norms))
+    if left == 0.0 or not others or not norms.any():
+        return variance
+    seen = norms > 0.0
+    columns = jacobian[:, seen] / norms[seen]
+    inverse, basis = np.linalg.pinv(columns, rcond=_DETERMINED), nominal_basis(nominal.fit, observed)
+    for signature, within, length in others:
+        if signature is None or within is None:
+            continue
+        response = length * signature + basis @ within
+        moved = inverse @ response
+        shown = float(np.linalg.norm(response - columns @ moved))
+        variance[seen] += (min(left / max(shown, 1e-300), 1.0) * moved / norms[seen]) ** 2
+    return np.asarray(np.sqrt(variance / len(others)))
+
+
+def estimates(
+    fitted: Fitted, subject: Subject, nominal: Fitted | None = None, scores: Sequence[Score] = ()
+) -> dict[str, Estimate]:
+    """Return every parameter with its standard error, which is None if the data do not determine it.
+
+    With the `scores` of effects at the `nominal` model, the error includes what the model still lacks.
+    """
     (prediction,) = subject.model.predict([fitted.fit.values])  # remembered from the refit
     errors: FloatArray = np.full(len(fitted.fit.unknowns), np.nan)
     if not isinstance(prediction, SimulationError):
         errors = standard_errors(fitted.fit, subject.observed, prediction)
+    rest = errors_of_the_rest(fitted, subject.observed, nominal, scores) if nominal is not None else 0.0 * errors
     return {
-        u.name: Estimate(fitted.fit.values[u.name], None if np.isnan(e) else float(e))
-        for u, e in zip(fitted.fit.unknowns, errors, strict=True)
+        u.name: Estimate(fitted.fit.values[u.name])
+        if np.isnan(noise)
+        else Estimate(fitted.fit.values[u.name], float(np.hypot(noise, lacking)), float(noise))
+        for u, noise, lacking in zip(fitted.fit.unknowns, errors, rest, strict=True)
     }

@@ -43,7 +43,7 @@ from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, 
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excess, excesses, gap
 from fmuid.diagnosis.scores import Score, hidden, nominal_basis, smallest_seen
-from fmuid.diagnosis.subject import Subject, tightened, with_states
+from fmuid.diagnosis.subject import Subject, tightened, with_states, without_spikes
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
 from fmuid.diagnosis.verdict import (
     NONE,
@@ -53,6 +53,7 @@ from fmuid.diagnosis.verdict import (
     Candidate,
     Closure,
     Diagnosis,
+    Estimate,
     Gap,
     Kind,
     PhysicalGap,
@@ -202,6 +203,11 @@ def diagnose_subject(
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
+    values = nominal.fit.values
+    clean = without_spikes(subject, _prediction(subject, values), values)
+    if clean is not subject:
+        subject, observed = clean, clean.observed
+        nominal = fit_effects(subject, (), [values]) or nominal
     if observed.nuisances:  # linearised at the start values so far
         observed = with_states(observed, model, nominal.fit.values)
         subject = replace(subject, observed=observed)
@@ -220,7 +226,7 @@ def diagnose_subject(
     candidates = [fitted for fitted in searched.candidates if firsts[id(fitted)] is fitted]
     best = None if searched.best is None else firsts.get(id(searched.best), searched.best)
     searched = replace(searched, candidates=candidates, best=best)
-    closing = Closing(subject, nominal, evidence.null)
+    closing = Closing(subject, nominal, evidence.null, scores)
     judgement = _judge(subject, searched, closing, say)
     errors = tolerated(subject, nominal)
     if enough := decide.small_enough(errors):
@@ -676,6 +682,7 @@ class Closing:
     subject: Subject
     nominal: Fitted
     null: Null
+    scores: Sequence[Score] = ()
     _known: dict[int, tuple[Fitted, Closure]] = field(default_factory=dict, init=False, repr=False)
 
     def __call__(self, fitted: Fitted) -> Closure:
@@ -695,8 +702,12 @@ class Closing:
         """Return a model as the best explanation."""
         errors = {name: of_run for name, of_run in self._errors(fitted).items() if name}
         of_effects = {u.name for id in fitted.effects for u in self.subject.by_id[id].unknowns}
-        parameters = {n: e for n, e in estimates(fitted, self.subject).items() if n in of_effects}
+        parameters = {n: e for n, e in self.estimates(fitted).items() if n in of_effects}
         return Best(fitted.effects, self(fitted), fitted.gap, errors, parameters)
+
+    def estimates(self, fitted: Fitted) -> dict[str, Estimate]:
+        """Return a model's parameters; their errors include what it still lacks."""
+        return estimates(fitted, self.subject, self.nominal, self.scores)
 
     def _interval(self, fitted: Fitted) -> tuple[float, float]:
         """Return the range in which the closure on a new experiment with a gap is expected to lie.
@@ -755,7 +766,7 @@ def _candidates(
     for answer in reversed(surviving):
         best_with |= dict.fromkeys(answer.effects, answer)
     drops = {s.effect: s.drop for s in scores}
-    known = {id(fitted): (closing(fitted), estimates(fitted, subject)) for fitted in best_with.values()}
+    known = {id(fitted): (closing(fitted), closing.estimates(fitted)) for fitted in best_with.values()}
     judged = []
     for effect in subject.effects:
         inclusion = sum(p for names, p in probability.items() if effect.id in names)

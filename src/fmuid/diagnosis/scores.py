@@ -15,7 +15,7 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
-from fmuid.diagnosis.observed import Observed, orthonormal, project_off
+from fmuid.diagnosis.observed import Observed, orthonormal
 from fmuid.diagnosis.refit import Predict, Refit
 from fmuid.diagnosis.verdict import Hidden
 from fmuid.effects.effect import Effect
@@ -50,6 +50,8 @@ class Score:
     moved, length
         By how many sigmas the trial moves the predictions, and by how many beyond what the fitted parameters can
         do.
+    within
+        What it does within that, in the basis of `nominal_basis`.
     same
         Scores of effects that the data cannot distinguish from this one, which stands for them.
     largest
@@ -64,6 +66,7 @@ class Score:
     signature: FloatArray | None
     moved: float = 0.0
     length: float = 0.0
+    within: FloatArray | None = None
     trials: tuple[Mapping[str, float], ...] = ()
     same: tuple[Score, ...] = ()
     largest: Score | None = None
@@ -140,7 +143,8 @@ def score_trials(
             yield None
             continue
         difference = stack(observed.residuals(outcome), observed) - residual
-        signature = project_off(difference, basis)
+        within = basis.T @ difference
+        signature = difference - basis @ within
         moved, length = (float(np.linalg.norm(v)) for v in (difference, signature))
         if length <= 1e-6 * max(1.0, moved):
             yield Score(effect.id, trial, 0.0, 0.0, 0.0, None, moved, length)
@@ -149,7 +153,7 @@ def score_trials(
         amount = -float(signature @ residual)
         drop = amount**2 if amount > 0 or effect.two_sided else 0.0
         per_run = _per_run(signature, amount, observed)
-        yield Score(effect.id, trial, drop, amount / length, per_run, signature, moved, length)
+        yield Score(effect.id, trial, drop, amount / length, per_run, signature, moved, length, within)
 
 
 def without_aliases(

@@ -25,11 +25,12 @@ import numpy as np
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSpec, ParameterSpec, StageSpec, without_owner
 from fmuid.core.errors import CampaignError, FmuError, SimulationError
-from fmuid.core.experiments import Experiment
+from fmuid.core.experiments import Experiment, Outliers
 from fmuid.core.formulas import parse
 from fmuid.core.immutable import FloatArray, read_only
 from fmuid.data.noise.level import noise_level
-from fmuid.diagnosis.extended_model import CampaignModel
+from fmuid.data.noise.outliers import just_moved, spikes_left
+from fmuid.diagnosis.extended_model import CampaignModel, Prediction
 from fmuid.diagnosis.observed import Observed, orthonormal
 from fmuid.diagnosis.variants import Variants, left_out
 from fmuid.diagnosis.verdict import LeftOut
@@ -243,9 +244,8 @@ def subject_of(
         )
     model, findings = solved_well_enough(model, campaign, begin, reference)
     used = {id for case in model.cases for id in case.experiments}
-    outliers_used = [o for o in campaign.outliers if o.experiment in used]
-    findings += tuple(f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in outliers_used)
-    outliers = tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in outliers_used)
+    left_out_of, outliers = _told([o for o in campaign.outliers if o.experiment in used])
+    findings += left_out_of
     models = [campaign.models[setup] for setup in {case.setup for case in model.cases}]
     findings += tuple(
         f"Not looked for, because the model cannot be built with it: {', '.join(ids)} ({why})."
@@ -256,6 +256,38 @@ def subject_of(
     findings += findings_of(model, stages)
     observed = with_states(Observed.from_runs(model.runs), model, begin)
     return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
+
+
+def without_spikes(subject: Subject, predicted: Prediction, values: Mapping[str, float]) -> Subject:
+    """Return the subject without samples that stick out of what a prediction leaves of runs without repeats.
+
+    The noise is estimated again, and start states that are estimated are linearised at `values`.
+    """
+    runs, spiked = list(subject.observed.runs), list[Outliers]()
+    for e, (run, case, prediction) in enumerate(zip(runs, subject.model.cases, predicted, strict=True)):
+        if run.n_repeats > 1:
+            continue
+        stirred = just_moved([u[case.lead :] for u in case.task.inputs.values()], len(run.time))
+        spikes = np.array([spikes_left(left, stirred) for left in run.values[0] - prediction])
+        shown = zip(run.channels, spikes, strict=True)
+        spiked += [Outliers(run.id, c, "spike", tuple(map(float, run.time[at]))) for c, at in shown if at.any()]
+        runs[e] = replace(run, values=np.where(spikes, np.nan, run.values))
+    if not spiked:
+        return subject
+    observed = replace(Observed.from_runs(runs), predicted=subject.observed.predicted)
+    findings, outliers = _told(spiked)
+    return replace(
+        subject,
+        observed=with_states(observed, subject.model, values),
+        findings=(*subject.findings, *findings),
+        outliers=(*subject.outliers, *outliers),
+    )
+
+
+def _told(outliers: Sequence[Outliers]) -> tuple[tuple[str, ...], tuple[LeftOut, ...]]:
+    """Return findings about outliers that were left out, and their numbers."""
+    findings = (f"Left out of experiment '{o.experiment}', signal '{o.signal}': {o}." for o in outliers)
+    return tuple(findings), tuple(LeftOut(o.experiment, o.signal, len(o.times)) for o in outliers)
 
 
 def _elsewhere(campaign: Campaign) -> set[str]:

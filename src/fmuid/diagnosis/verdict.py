@@ -128,10 +128,17 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value with its standard error, None if the data do not determine it."""
+    """A value with its standard error, None if the data do not determine it.
+
+    Attributes
+    ----------
+    from_noise
+        The part of the standard error that noise alone causes; the rest is what the model still lacks.
+    """
 
     value: float
-    standard_error: float | None
+    standard_error: float | None = None
+    from_noise: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -623,10 +630,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     if candidate.closure is not None:
         entry["closure"] = candidate.closure.to_dict()
     if candidate.parameters:
-        entry["parameters"] = {
-            name: {"value": e.value, "standard_error": e.standard_error}
-            for name, e in candidate.parameters.items()
-        }
+        entry["parameters"] = {name: asdict(e) for name, e in candidate.parameters.items()}
     return entry
 
 

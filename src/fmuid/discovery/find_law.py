@@ -427,7 +427,7 @@ class _Search:
         interval = closure_interval(nominal.held_out, fitted.held_out, null=null, seed=seed)
         units = {n: unit for id in fitted.effects for n, unit in law.subject.by_id[id].units.items()}
         parameters = {}
-        for name, estimate in estimates(fitted, law.subject).items():
+        for name, estimate in estimates(fitted, law.subject, nominal, self.outcome.scores).items():
             if name in units:
                 half = None if estimate.standard_error is None else _INTERVAL * estimate.standard_error
                 around = None if half is None else (estimate.value - half, estimate.value + half)

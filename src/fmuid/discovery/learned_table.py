@@ -361,7 +361,7 @@ class _Search:
         left_out = tuple({renamed.get(n, n): v for n, v in at_fold.items()} for at_fold in fitted.left_out)
         fitted = replace(fitted, effects=(*fitted.effects[:-1], effect.id), fit=fit, left_out=left_out)
         subject = with_laws(self.outcome.subject, self.models, self.load, [effect], fitted.effects[:-1])
-        best = Closing(subject, self.outcome.nominal, self.null).best(fitted)
+        best = Closing(subject, self.outcome.nominal, self.null, self.outcome.scores).best(fitted)
         if of:
             best = replace(best, effects=best.effects[:-1], parameters=self._covering(best.parameters))
         sizes = np.array([values[n] for n in law.sizes]).reshape([len(k) for k in built.knots])
@@ -382,7 +382,7 @@ class _Search:
 
     def _covering(self, refined: Mapping[str, Estimate]) -> dict[str, Estimate]:
         """Return parameters of a refined law with errors whose 90 % intervals cover those of the plain law."""
-        plain = estimates(self.base, self.outcome.subject)
+        plain = estimates(self.base, self.outcome.subject, self.outcome.nominal, self.outcome.scores)
 
         def both(one: Estimate, other: Estimate) -> Estimate:
             moved = abs(one.value - other.value) / _INTERVAL

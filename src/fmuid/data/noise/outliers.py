@@ -2,11 +2,13 @@
 
 They are searched run by run in the differences from the repeats, before the noise is estimated: a single spike of
 fifty standard deviations would otherwise triple the noise of a whole setup. A difference that many samples show is
-part of the signal and is kept.
+part of the signal and is kept. In a run without repeats, the signal's own motion hides spikes; what a model leaves
+of it shows them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +25,7 @@ _LONGEST = 3  # samples in the longest spike
 _WINDOW = 51  # samples from which a signal's usual step is taken
 _AT_ONCE = 50_000  # windows processed together: 20 MB
 _SPIKE = 10.0  # relative to that step; normal noise has such a spike once in 1e20 samples
+_SPIKE_LEFT = 5.0  # the same of what a model leaves, which hardly moves: once in 6e8 samples
 _RELEASE = 5.0  # relative to the steps after it: a jump ends a held value, but not a signal at rest
 _SHORTEST = 3  # samples in the shortest held value
 _BY_CHANCE = 1e-3  # expected number of stretches of equal values below which they are not chance
@@ -42,7 +45,8 @@ def without_outliers(measurements: Measurements) -> tuple[Measurements, tuple[Ou
             others = [[e] for e in runs if e not in same]
             for alike in (same, *others):
                 values = np.array([e.outputs[name].values for e in alike])
-                for e, spikes, held in zip(alike, *outliers(values, _moved_inputs(alike[0])), strict=True):
+                stirred = just_moved([signal.values for signal in alike[0].inputs.values()], len(alike[0].time))
+                for e, spikes, held in zip(alike, *outliers(values, stirred), strict=True):
                     kinds: dict[OutlierKind, Mask] = {"spike": spikes, "held": held & ~spikes}
                     for kind, mask in kinds.items():
                         if mask.any():
@@ -80,20 +84,30 @@ def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
     return spikes, held
 
 
+def spikes_left(left: FloatArray, stirred: Mask) -> Mask:
+    """Return the (N,) mask of spikes of one sample in what a model leaves of a run.
+
+    Longer ones may be what the model lacks. `stirred` is as for `outliers`.
+    """
+    spikes = _spikes(left, 0.0, _SPIKE_LEFT, longest=1) & ~stirred
+    enough = np.isfinite(left).sum() >= _WINDOW and spikes.sum() <= _MOST * len(left)
+    return spikes if enough else np.zeros(len(left), dtype=bool)
+
+
 def _spikes_or_all(run: FloatArray, others: FloatArray, step: float) -> Mask:
     """Return spikes; if two runs differ in a sample, either may have the spike: also the one it sticks out of."""
     return _spikes(run, step, factor=0.5 * _SPIKE) if len(others) == 1 else np.ones(len(run), dtype=bool)
 
 
-def _spikes(values: FloatArray, step: float, factor: float = _SPIKE) -> Mask:
-    """Return where up to three samples stick out to one side of those before and after them."""
+def _spikes(values: FloatArray, step: float, factor: float = _SPIKE, longest: int = _LONGEST) -> Mask:
+    """Return where a few samples stick out to one side of those before and after them."""
     there = np.flatnonzero(np.isfinite(values))
     y = values[there]
     moves = np.abs(np.diff(y))
     least = max(step, 0.1 * _MAD * float(np.mean(moves)))
     windows = sliding_window_view(np.pad(moves, _WINDOW // 2, mode="symmetric"), _WINDOW)
     spikes = np.zeros(len(values), dtype=bool)
-    for width in range(1, _LONGEST + 1):
+    for width in range(1, longest + 1):
         beyond = _sticks_out(y, width)
         places = np.flatnonzero(beyond > factor * least)
         usual = _MAD * _medians(windows, places)
@@ -147,14 +161,12 @@ def _median(others: FloatArray) -> FloatArray:
     return np.asarray(np.where(there, np.nanmedian(np.where(there, others, 0.0), axis=0), np.nan))
 
 
-def _moved_inputs(experiment: Experiment) -> Mask:
-    """Return the (N,) mask of samples where an input has just moved far more than it usually does."""
-    stirred = np.zeros(len(experiment.time), dtype=bool)
-    for signal in experiment.inputs.values():
-        moves = np.abs(np.diff(signal.values, prepend=signal.values[0]))
-        jumps = moves > _SPIKE * max(
-            float(np.median(moves)), 1e-12 * float(np.abs(signal.values).max(initial=0.0))
-        )
+def just_moved(inputs: Sequence[FloatArray], samples: int) -> Mask:
+    """Return the (N,) mask of samples where an input, (N,), has just moved far more than it usually does."""
+    stirred = np.zeros(samples, dtype=bool)
+    for values in inputs:
+        moves = np.abs(np.diff(values, prepend=values[0]))
+        jumps = moves > _SPIKE * max(float(np.median(moves)), 1e-12 * float(np.abs(values).max(initial=0.0)))
         for late in range(-1, 2 * _LONGEST):
             stirred |= np.roll(jumps, late)
     return stirred
