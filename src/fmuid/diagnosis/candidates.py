@@ -531,17 +531,19 @@ def errors_of_the_rest(fitted: Fitted, observed: Observed, nominal: Fitted, scor
 
     What a model leaves beyond the noise shows only the part of an unmodelled effect that its parameters cannot
     imitate; the other part is in their estimates. Each effect that was scored at the `nominal` model and is not in
-    this one is taken at the size that leaves as much as this model does, or at its trial's if that is less. The
-    variance is the mean over these effects.
+    this one is taken at the size that leaves as much as this model does, with what noise may hide of that (a
+    standard deviation of its energy), or at its trial's size if that is less. The variance is the mean over these
+    effects.
     """
     jacobian = stack(fitted.fit.jacobian, observed)
     beyond, count = excesses(fitted.fit.residuals, observed)
-    left = float(np.sqrt(max(float((beyond * count) @ observed.repeats), 0.0)))
+    hidden = float(np.sqrt(2.0 * count.sum()))
+    left = float(np.sqrt(max(float((beyond * count) @ observed.repeats), 0.0) + hidden))
     norms = np.linalg.norm(jacobian, axis=0)
     others = [(s.signature, s.within, s.length) for s in scores if s.effect not in fitted.effects]
     others = others[:: max(len(others) // _OTHERS, 1)]
     variance = np.zeros(len(norms))
-    if left == 0.0 or not others or not norms.any():
+    if not others or not norms.any():
         return variance
     seen = norms > 0.0
     columns = jacobian[:, seen] / norms[seen]
