@@ -20,9 +20,9 @@ from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
-from fmuid.diagnosis import calibration
+from fmuid.diagnosis import calibration, decide
 from fmuid.diagnosis.calibration import Calibration, Trial
-from fmuid.diagnosis.candidates import estimates, refit_only
+from fmuid.diagnosis.candidates import Fitted, estimates, refit_only
 from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_corrected
 from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, odds_of_starts, tolerances
@@ -492,7 +492,23 @@ def _with_table(outcome: Found, table: Tabulated) -> Found:
         model={**table.subject.model.expanded(table.fitted.fit.values)},
         effects=effects,
     )
-    return replace(outcome, diagnosis=diagnosis)
+    return replace(outcome, diagnosis=_beyond_noise(diagnosis, outcome.nominal, table))
+
+
+def _beyond_noise(diagnosis: Diagnosis, nominal: Fitted, table: Tabulated) -> Diagnosis:
+    """Return an undecided diagnosis as *unknown* if a table predicts left-out runs, as no slow noise would."""
+    odds = decide.by_chance(nominal, table.fitted, table.among)
+    by_noise = odds / (1.0 + odds)
+    if diagnosis.verdict.kind != "insufficient" or by_noise > 1.0 - decide.SURE:
+        return diagnosis
+    ports = dict.fromkeys((*(r.port for r in table.best.refinements), *diagnosis.verdict.ports))
+    weights = decide.with_none({a.effects: a.probability for a in diagnosis.answers}, by_noise)
+    answers = (replace(a, probability=weights[a.effects]) for a in diagnosis.answers)
+    return replace(
+        diagnosis,
+        verdict=replace(diagnosis.verdict, kind="unknown", ports=tuple(ports)),
+        answers=tuple(sorted(answers, key=lambda a: -a.probability)),
+    )
 
 
 def _drawing(campaign: Campaign, outcome: Found) -> Drawing | None:

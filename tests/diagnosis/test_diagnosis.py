@@ -3,15 +3,18 @@
 import json
 from dataclasses import replace
 from importlib.resources import files
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
 import pytest
-from plants import EFFECTS, PORTS, TWIN, N, misread, plant
+from plants import EFFECTS, PORTS, TWIN, N, _effect, misread, plant
 
 from fmuid.core.errors import SimulationError
+from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.subject import without_spikes
+from fmuid.diagnosis_pipeline import _beyond_noise
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
@@ -203,3 +206,20 @@ def test_a_complete_model_says_what_would_have_been_seen():
     for factor, kind in ((2.0, "effect"), (0.2, "complete")):
         answer = diagnose_subject(plant({"square": factor * seen["quadratic"]["square"]})).diagnosis
         assert answer.verdict.kind == kind
+
+
+def test_what_a_table_predicts_in_runs_without_repeats_is_unknown_and_no_noise():
+    hill = {"hill": replace(_effect("hill", "hill", 0.05), id="hill")}
+    subject = plant({"hill": 0.05}, repeats=1, effects={"dead_time": EFFECTS["dead_time"]})
+    found = diagnose_subject(subject)
+    assert found.diagnosis.verdict.kind == "insufficient"
+    known = replace(subject, catalogue=replace(subject.catalogue, effects=hill), effects=tuple(hill.values()))
+    fitted = fit_effects(known, known.effects, [found.nominal.fit.values])
+    best = SimpleNamespace(refinements=[SimpleNamespace(port="friction")])
+    # As large a gap in every run as slow noise may well leave.
+    nominal = replace(found.nominal, gap=2.0, held_out=replace(found.nominal.held_out, loss=np.full(5, 4.0)))
+    for table, kind in ((fitted, "unknown"), (nominal, "insufficient")):
+        tabulated = SimpleNamespace(fitted=table, among=10, best=best)
+        diagnosis = _beyond_noise(found.diagnosis, nominal, tabulated)
+        assert (diagnosis.verdict.kind, diagnosis.verdict.ports[0]) == (kind, "friction")
+        assert sum(a.probability for a in diagnosis.answers) == pytest.approx(1.0)

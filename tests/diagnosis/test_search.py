@@ -37,8 +37,17 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert diagnosed.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
     # Without exchanges and without leaving out what has become needless, the mixture stays, and something with it.
     monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
-    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda best, *_: best)
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda subject, best, *_: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
+
+
+def test_an_effect_that_only_closes_what_is_tolerated_is_left_out():
+    subject = plant({"a": 0.3, "tilt": 0.05})
+    effects = [subject.by_id[name] for name in ("asymmetry", "tilt")]
+    both = fit_effects(subject, effects, [{}])
+    assert set(_pruned(subject, both, [], partial(without, subject)).effects) == {"asymmetry", "tilt"}
+    tolerant = replace(subject, tolerances={"x": 0.05, "v": 0.05})
+    assert _pruned(tolerant, both, [], partial(without, tolerant)).effects == ("asymmetry",)
 
 
 def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start_values():
@@ -76,7 +85,7 @@ def test_a_needless_law_is_dropped():
     subject = heard(laws, {1: 1.0, 2: 1.0})
     by_id = {e.id: e for e in subject.effects}
     whole = fit_effects(subject, [by_id[name] for name in ("mixture", "first", "second")], [{}])
-    pruned = _pruned(whole, [], partial(without, subject), subject.observed)
+    pruned = _pruned(subject, whole, [], partial(without, subject))
     assert pruned.effects == ("first", "second")
 
 

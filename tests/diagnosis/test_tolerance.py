@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plants import plant
 
 import fmuid
 from fmuid.campaigns.campaign_toml import load_campaign
@@ -14,6 +15,7 @@ from fmuid.data.measurements import write_measurements
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.decide import tolerances, tolerated
+from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.observed import Observed, excess
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.coupled.loading import load_simulator
@@ -95,6 +97,13 @@ def test_how_a_tolerance_is_stated(campaign):
     ):
         with pytest.raises(CampaignError, match=told):
             tolerances({name: text}, cases)
+
+
+def test_a_model_that_is_exact_enough_in_the_only_experiment_is_complete():
+    subject = plant({"tilt": 0.05}, experiments=("sine",), repeats=3)
+    assert diagnose_subject(subject).diagnosis.verdict.kind == "insufficient"
+    verdict = diagnose_subject(replace(subject, tolerances={"x": 0.1, "v": 0.1})).diagnosis.verdict
+    assert (verdict.kind, verdict.within_tolerance) == ("complete", True)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.3, 1.0])

@@ -482,10 +482,10 @@ def tolerated(subject: Subject, fitted: Fitted) -> tuple[Tolerated, ...]:
 
     A tolerance is about what the model lacks, so parameters are fitted to all runs: what the noise leaves in them
     is no error of the model. Each parameter takes up the noise of one sample. A signal without a tolerance is in
-    the list if its error exceeds the noise. Nothing is returned without a tolerance, or with a single fold.
+    the list if its error exceeds the noise. Nothing is returned without a tolerance.
     """
     model, observed, folds = subject.model, subject.observed, subject.observed.folds
-    if not subject.tolerances or len(folds) < 2:
+    if not subject.tolerances:
         return ()
     (predictions,) = model.predict([fitted.fit.values])
     if isinstance(predictions, SimulationError):

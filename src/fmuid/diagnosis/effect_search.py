@@ -24,7 +24,7 @@ from fmuid.diagnosis.candidates import (
     without,
 )
 from fmuid.diagnosis.cross_validation import NoiseDraws
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excess, project_off
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, project_off
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import SEEN, Score, alias_classes, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
@@ -102,7 +102,7 @@ def search(
             break
         candidates += company
         best = _exchanged(subject, better, candidates, scores, without_one)
-    return candidates, _pruned(best, candidates, without_one, subject.observed)
+    return candidates, _pruned(subject, best, candidates, without_one)
 
 
 def aliases(
@@ -350,18 +350,18 @@ def _replaced(
     return _added(subject, rest, [s for s in others if frozenset((*rest.effects, s.effect)) not in tried])
 
 
-def _pruned(best: Fitted, candidates: list[Fitted], without_one: _Rest, observed: Observed) -> Fitted:
-    """Leave out of `best`, one by one, the effects that are not worth adding to the others.
+def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitted:
+    """Leave out of `best`, one by one, the effects without which nothing that matters is missing.
 
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
     """
     while len(best.effects) > 1:
         simpler = [without_one(best, name) for name in best.effects]
         enough = [
-            s for s in simpler if s is not None and (s.gap <= GAP_THAT_MATTERS or not decide.worth_adding(s, best))
+            s for s in simpler if s is not None and (exact_enough(subject, s) or not decide.worth_adding(s, best))
         ]
         if not enough:
             break
-        best = decide.best_of(enough, observed)
+        best = decide.best_of(enough, subject.observed)
         candidates.append(best)
     return best

@@ -65,12 +65,15 @@ class Tabulated:
         The model that contains it, and its refit.
     best
         The model as the best explanation, with the table as a refinement.
+    among
+        Number of tables from which it was chosen.
     """
 
     effect: Effect
     subject: Subject
     fitted: Fitted
     best: Best
+    among: int = 1
 
 
 def tabulate(
@@ -199,7 +202,8 @@ class _Search:
             best = dict.fromkeys(p.over[0] for p in sorted(ones, key=lambda p: p.held_out.mean))
             proposed += [*ones, *self._over_two(place, [*best][:_PAIRED])]
         built = self._built(proposed)
-        return None if built is None else self._told(built)
+        table = None if built is None else self._told(built)
+        return None if table is None else replace(table, among=len(proposed))
 
     def _spot(self, name: str) -> Spot | None:
         """Return a place with all that a table there may be over; None if it has no input."""
