@@ -65,7 +65,6 @@ class Seed:
     told: dict[str, Any]
     labels: list[dict[str, Any]]
     records: dict[str, dict[str, Any]]
-    reasons: dict[str, str]
     measured: dict[str, dict[str, Any]]
 
     def cases(self, first: int, last: int, *, drawn: bool = False) -> list[Scored]:
@@ -90,11 +89,10 @@ def read_published(folder: Path) -> list[Seed]:
             [json.loads(line) for line in (file.parent / name).read_text().splitlines()]
             for name in ("labels.jsonl", "answers.jsonl", "measured.jsonl")
         )
-        reasons = file.with_name("reasons.json")
         seeds.append(
             Seed(
                 told["seed"], told, labels, {r["case"]: r for r in records},
-                json.loads(reasons.read_text()) if reasons.is_file() else {}, {m["case"]: m for m in measured},
+                {m["case"]: m for m in measured},
             )
         )  # fmt: skip
     return seeds
@@ -119,7 +117,7 @@ def case_by_case(seed: Seed) -> str:
         others = [f for f in figures(cases) if f.lower is None and f.upper is None]
         parts += [f"## {grid.title}\n", "### Figures without an aim\n", _aims(others)]
         parts += ["### By stratum, repeats, noise and rig\n", _shares(cases)]
-        parts += ["### Every case that is not right\n", _misses(seed, cases)]
+        parts += ["### Every case that is not right\n", _misses(cases)]
     return "\n".join(parts)
 
 
@@ -228,7 +226,7 @@ def _shares(cases: Sequence[Scored]) -> str:
     return table(["by", "which", "cases", "right", "verdicts", "seconds"], rows) + "\n"
 
 
-def _misses(seed: Seed, cases: Sequence[Scored]) -> str:
+def _misses(cases: Sequence[Scored]) -> str:
     rows = []
     for case in cases:
         label = case.label
@@ -245,7 +243,7 @@ def _misses(seed: Seed, cases: Sequence[Scored]) -> str:
                 label["case"], label["kind"] + ", " + label["style"],
                 f"{label['stratum']}: {' and '.join(label['effects']) or 'none'}",
                 number(label["gap"]), number(label["background"]), ", ".join(how),
-                in_words(case.answer) if case.answer else "none", seed.reasons.get(label["case"], case.reason),
+                in_words(case.answer) if case.answer else "none", case.reason,
             ]
         )  # fmt: skip
     return table(["case", "rig", "truth", "gap", "background", "logs", "verdict", "reason"], rows) + "\n"

@@ -211,15 +211,17 @@ def test_a_complete_model_says_what_would_have_been_seen():
 def test_what_a_table_predicts_in_runs_without_repeats_is_unknown_and_no_noise():
     hill = {"hill": replace(_effect("hill", "hill", 0.05), id="hill")}
     subject = plant({"hill": 0.05}, repeats=1, effects={"dead_time": EFFECTS["dead_time"]})
-    found = diagnose_subject(subject)
-    assert found.diagnosis.verdict.kind == "insufficient"
+    diagnosed = diagnose_subject(subject)
+    assert diagnosed.diagnosis.verdict.kind == "insufficient"
     known = replace(subject, catalogue=replace(subject.catalogue, effects=hill), effects=tuple(hill.values()))
-    fitted = fit_effects(known, known.effects, [found.nominal.fit.values])
+    fitted = fit_effects(known, known.effects, [diagnosed.nominal.fit.values])
     best = SimpleNamespace(refinements=[SimpleNamespace(port="friction")])
     # As large a gap in every run as slow noise may well leave.
-    nominal = replace(found.nominal, gap=2.0, held_out=replace(found.nominal.held_out, loss=np.full(5, 4.0)))
+    nominal = replace(
+        diagnosed.nominal, gap=2.0, held_out=replace(diagnosed.nominal.held_out, loss=np.full(5, 4.0))
+    )
     for table, kind in ((fitted, "unknown"), (nominal, "insufficient")):
         tabulated = SimpleNamespace(fitted=table, among=10, best=best)
-        diagnosis = _beyond_noise(found.diagnosis, nominal, tabulated)
+        diagnosis = _beyond_noise(diagnosed.diagnosis, nominal, tabulated)
         assert (diagnosis.verdict.kind, diagnosis.verdict.ports[0]) == (kind, "friction")
         assert sum(a.probability for a in diagnosis.answers) == pytest.approx(1.0)

@@ -113,7 +113,7 @@ def draw_case(seed: int, number: int, *, named: bool = True) -> Case:
 
 
 def measured(case: Case) -> dict[str, Any]:
-    """Return what real refits leave of a case: the gap of all that the model lacks, and of parts of it.
+    """Return the gaps that refits to the end leave of a case: of all that the model lacks, and of parts of it.
 
     `alone` has an entry for every effect of the label, the others being known; `background` is that of the small
     effects alone.
