@@ -173,7 +173,7 @@ def test_friction_that_the_model_lacks_is_named_and_the_corrected_model_predicts
     jsonschema.Draft202012Validator(SCHEMA).validate(answer)
     assert (answer["verdict"]["kind"], answer["verdict"]["effects"]) == ("effect", ["coulomb"])
     best = answer["effects"][0]["parameters"]["coulomb"]
-    assert abs(best["value"] - 0.006) < 4 * best["standard_error"] < 0.003
+    assert abs(best["value"] - 0.006) < 4 * best["from_noise"] < 0.003
     assert run(["validate", str(out / "diagnosis.json"), "--json", str(tmp_path / "v.json")]) == 0
     gaps = json.loads((tmp_path / "v.json").read_text())["gaps"]["last"]
     assert gaps["corrected"] < 0.3 < 0.5 < gaps["nominal"]
