@@ -42,6 +42,7 @@ _ABOUT = (
     20.0,
 )  # times the cost, plus squared standard deviations: then another model fits about equally well
 _COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
+_ACROSS = 50.0  # times the tolerance, of the cost beyond the noise: promises of a twentieth lead across ripples
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
 ITERATIONS = 25  # Jacobians of a search; nearly all end by their tolerance before
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
@@ -93,7 +94,8 @@ def refit(
 
     Where bodies collide and stick, the cost has ripples, and a search by local slopes ends early. If the slopes at
     its end promise a fall of the cost that no step achieves, the search continues with slopes across the ripples
-    (implicit filtering, Kelley 2011).
+    (implicit filtering, Kelley 2011). What these promise has to matter next to the errors of the model itself: two
+    models fit about equally well if a twentieth of these is between them.
 
     Parameters
     ----------
@@ -133,15 +135,17 @@ def refit(
     ends.sort(key=lambda end: end[0])
     least = ends[0][0]
 
-    def promising(end: _End) -> bool:
-        fall = campaign.promised(end[1]) if len(unknowns) else 0.0
-        return fall > max(_ENOUGH, tolerance * end[0]) and end[0] - fall < least
+    def promising(end: _End, slopes: Slopes = "near", across: float = 0.0) -> bool:
+        fall = campaign.promised(end[1], slopes) if len(unknowns) else 0.0
+        relevant = max(_ENOUGH, tolerance * end[0], tolerance * across * (end[0] - campaign.size))
+        return fall > relevant and end[0] - fall < least
 
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
         for end in campaign.apart([end for end in ends if end[0] <= about(least)]):
-            ends += [_search(campaign, end[1], max_iterations, tolerance, "near")] if promising(end) else []
+            if promising(end, across=_ACROSS):
+                ends.append(_search(campaign, end[1], max_iterations, tolerance, "near"))
     end = min(ends, key=lambda end: end[0])
-    if promising(end):
+    if promising(end) and promising(end, "wide", _ACROSS):
         across = _search(campaign, end[1], max_iterations, tolerance, "wide")
         end = min(end, across, _search(campaign, across[1], max_iterations, tolerance, "near"), key=lambda e: e[0])
     cost, x, converged = end
@@ -317,10 +321,10 @@ class _Campaign:
                 distinct.append(end)
         return distinct
 
-    def promised(self, x: FloatArray) -> float:
-        """Return the fall of the cost that the slopes of a plausible step promise, within bounds."""
+    def promised(self, x: FloatArray, along: Slopes) -> float:
+        """Return the fall of the cost that slopes promise, within bounds."""
         try:
-            slopes = np.vstack([self.stacked(self.jacobian(x, "near")), self.prior]) * self.steps
+            slopes = np.vstack([self.stacked(self.jacobian(x, along)), self.prior]) * self.steps
         except SimulationError:  # slopes beyond all numbers promise nothing
             return 0.0
         room = np.stack([self.lower - x, self.upper - x]) / self.steps
