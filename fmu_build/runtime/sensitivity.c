@@ -29,10 +29,6 @@ static inline void add_moved(const struct Sensitivity *q, double a, int k, doubl
     for (size_t p = q->moved[k].first; p < q->moved[k].end; p++) to[p] += a * row[p];
 }
 
-static inline size_t slices_of(const struct Sensitivity *q, int k) {
-    return (q->moved[k].end - 1) / SLICE - q->moved[k].first / SLICE + 1;
-}
-
 /* Derivatives of [f; r] by what the directions move, along all of them, into q->by_moves; with the entries of J. */
 static int shared_slopes(Instance *me, const double *t, const double *x, const double *u, double *jacobian) {
     struct Sensitivity *q = me->sensitivity;
@@ -52,11 +48,15 @@ static int shared_slopes(Instance *me, const double *t, const double *x, const d
         me->res[0] = by_moved + model.n_slopes;
         if (CALL(element_slopes)) return 1;
     }
-    EACH_LIVE(q, first, end)
+    if (q->n <= SLICE) memset(q->by_moves, 0, N * q->n * sizeof(double));
+    else EACH_LIVE(q, first, end)
         for (int row = 0; row < N; row++) memset(q->by_moves + row * q->n + first, 0, (end - first) * sizeof(double));
     for (int a = 0; a < q->n_active; a++) {
         const int k = q->active[a], column = model.slope_column[k];
-        if (by_moved[k] != 0.0) memset(q->live + q->moved[column].first / SLICE, 1, slices_of(q, column));
+        if (by_moved[k] == 0.0) continue;
+        const Span *moved = &q->moved[column];
+        for (size_t slice = moved->first / SLICE; slice * SLICE < moved->end; slice++)
+            if (!q->live[slice]) q->live[slice] = 1;
         add_moved(q, by_moved[k], column, q->by_moves + model.slope_row[k] * q->n);
     }
     return 0;
