@@ -379,11 +379,21 @@ class _Flattener:
                 sink.whens.append(self._when(item, scope, env))
             case Assert():
                 sink.asserts.append(self._assert(item, scope, env))
-            case AssignMany() if sink is self.sink or sink is self.initial:  # for the assertions of the function
-                target = self.algorithms if sink is self.sink else self.initial_algorithms
-                target.append(Algorithm(self.resolver.statements((item,), scope, env), origin, item.at))
+            case AssignMany():
+                self._called(item, scope, env, origin, sink)
             case _:
                 raise ModelicaError(_no_equation(item), where=item.at)
+
+    def _called(self, item: AssignMany, scope: Instance, env: Env, origin: Origin, sink: _Sink) -> None:
+        """Add a call without results: for the assertions of the function, or for what it prints."""
+        called = self.resolver.statements((item,), scope, env)
+        if isinstance(called[0], Assert):
+            sink.asserts.append(called[0])
+        elif sink is self.sink or sink is self.initial:
+            target = self.algorithms if sink is self.sink else self.initial_algorithms
+            target.append(Algorithm(called, origin, item.at))
+        else:
+            raise ModelicaError(_no_equation(item), where=item.at)
 
     def _assert(self, item: Assert, scope: Instance, env: Env) -> Assert:
         expr = self.resolver.expr

@@ -168,14 +168,20 @@ def test_an_integer_overflow_ends_the_simulation(simulate, kind, capfd):
     assert first.endswith("t = 1: integer overflow: n would be 1e+10")
 
 
-@pytest.mark.parametrize("section", ["equation", "algorithm"])
-def test_what_is_printed_at_an_event_is_a_warning(simulate, capfd, section):
+PRINTS = (
+    "equation when y > 0.5 then {print}; end when;",
+    "algorithm when y > 0.5 then {print}; end when;",
+    "initial equation if e < 1 then {print}; end if;",
+)
+
+
+@pytest.mark.parametrize("section", PRINTS)
+def test_what_is_printed_is_a_warning(simulate, capfd, section):
     text = (
         'impure function print input String string = ""; input String fileName = "";'
-        ' external "C" ModelicaInternal_print(string, fileName); end print;'
-        f' Real y = time; {section} when y > 0.5 then print("half, and n is " + String(2)); end when;'
+        ' external "C" ModelicaInternal_print(string, fileName); end print; parameter Real e = 0; Real y = time; '
     )
-    simulate(text, ["y"], stop_time=1)
+    simulate(text + section.format(print='print("half, and n is " + String(2))'), ["y"], stop_time=1)
     assert capfd.readouterr().out.count("half, and n is 2") == 1
 
 
