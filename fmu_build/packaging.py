@@ -52,7 +52,7 @@ _GENERATED = {"model.c", "model_rare.c", "switches.c"}
 _RUNTIME: Levels = (
     (_FAST, ("linear.c", "past.c", "transport.c")),
     (_VECTORS, ("sensitivity.c",)),
-    (_PLAIN, ("directions.c", "events.c", "kinks.c", "pivoting.c", "simulate.c", "variables.c")),
+    (_PLAIN, ("directions.c", "events.c", "kinks.c", "least_norm.c", "pivoting.c", "simulate.c", "variables.c")),
     (_SELDOM, ("arrays.c", "assertions.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
     (_SELDOM, ("delays.c", "sensitivity_rare.c", "pivoted_blocks.c")),
 )
@@ -62,6 +62,7 @@ _HEADERS = (
     "linear.h",
     "lu.h",
     "model_data.h",
+    "newton.h",
     "past.h",
     "sensitivity.h",
     "variables.h",

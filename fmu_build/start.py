@@ -137,11 +137,14 @@ class _Written:
             [(self._rank(i), 0, position) for position, i in enumerate(open_)]
             + [(self._others[n][0].start_rank, 1, n) for n in others]
         )
-        rows = [c for c, _ in conditions]
-        for _, other, n in ranked:
-            rows.append(self._others[n][1] if other else states[open_[n]].symbol - starts[open_[n]].value)
-        _, independent = _independent(self._system, rows, columns, self._at_start)
-        taken = [ranked[row - len(conditions)] for row in sorted(independent) if row >= len(conditions)]
+        taken = ranked
+        for near in (False, True):  # what says nothing at the start is no condition: a flow through a shut valve
+            ranked = [r for r in ranked if r in taken or not r[1] or r[0] == 0]
+            rows = [c for c, _ in conditions]
+            for _, other, n in ranked:
+                rows.append(self._others[n][1] if other else states[open_[n]].symbol - starts[open_[n]].value)
+            _, independent = _independent(self._system, rows, columns, self._at_start, near=near)
+            taken = [ranked[row - len(conditions)] for row in sorted(independent) if row >= len(conditions)]
         kept = {open_[n] for _, other, n in taken if not other}
         self._used = {n for _, other, n in taken if other}
         out = [*conditions, *((self._others[n][1], self._others[n][0].at) for n in sorted(self._used))]
@@ -201,9 +204,9 @@ class _Written:
 
 
 def _independent(
-    system: System, conditions: list[SX], columns: list[int], at_start: dict[int, SX]
+    system: System, conditions: list[SX], columns: list[int], at_start: dict[int, SX], *, near: bool = True
 ) -> tuple[set[int], set[int]]:
-    """States that conditions determine, and the conditions that determine them, by the rank near the start."""
+    """States that conditions determine, and the conditions that determine them, by the rank at the start."""
     if not conditions or not columns:
         return set(), set()
     solution, n, m = system.solution, len(conditions), len(columns)
@@ -211,9 +214,10 @@ def _independent(
     gradients = [system.scope.graph.gradient(e) for e in (*conditions, *solution.residuals)]
     wanted = [(i, j, g[key(s)]) for i, g in enumerate(gradients) for j, s in enumerate(symbols) if key(s) in g]
     # Slightly off the start, because a coefficient may vanish there by chance.
-    near = {k: v + 1e-5 * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
+    off = 1e-5 if near else 0.0
+    point = {k: v + off * math.sin(1.0 + i) for i, (k, v) in enumerate(at_start.items())}
     whole = np.zeros((len(gradients), len(symbols)))
-    for (i, j, _), value in zip(wanted, system.point.at_start([e for _, _, e in wanted], near), strict=True):
+    for (i, j, _), value in zip(wanted, system.point.at_start([e for _, _, e in wanted], point), strict=True):
         whole[i, j] = value
     if not np.isfinite(whole).all():
         whole = np.nan_to_num(whole, posinf=0.0, neginf=0.0)

@@ -1,6 +1,6 @@
 """Types of a flat model: conditions are Boolean, values fit the variables, operands fit the operators.
 
-An expression is of a predefined type, of an enumeration (its literals: equal ones make equal types), or unknown
+An expression is of a predefined type, of an enumeration (equal literals make equal types: section 6.3), or unknown
 (records, function results that depend on the call). Only known types are compared.
 """
 

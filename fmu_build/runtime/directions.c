@@ -117,13 +117,13 @@ int initial_states_along(Instance *me, const double *start, Direction *s) {
     me->arg[9] = now->xs;
     me->res[0] = NULL;
     me->res[1] = me->initial;
-    if (CALL(initial) || FACTORISE(I, me->initial, &me->lu_start)) return 1;
+    if (CALL(initial) || factorise_initial(me)) return 1;
     environment_at(me, &now->t, now->x, now->u);
     const double *const seeds[] = {now->xs, s->u, s->p, s->d, sxs, s->z, s->pz};
     for (int i = 0; i < 7; i++) me->arg[9 + i] = seeds[i];
     me->res[0] = r;
     if (model_initial_partials(me->arg, me->res, me->iw, me->w, 0)) return 1;
-    SOLVE(I, &me->lu_start, r);
+    solve_linear_initial(me, r);
     for (int i = 0; i < NX; i++) s->x[i] = -r[i];
     return 0;
 }

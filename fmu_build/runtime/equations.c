@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "model.h"
-#include "instance.h"
+#include "newton.h"
 
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u) {
     State *s = &me->s;
@@ -23,58 +23,36 @@ const double **environment_at(Instance *me, const double *t, const double *x, co
     return arg;
 }
 
-static int all_finite(const double *values, int n) {
-    for (int i = 0; i < n; i++)
-        if (!isfinite(values[i])) return 0;
-    return 1;
+static inline int loop_at(Instance *me, const Place *at, const double *y, double *r, int with_matrix) {
+    (void)y; /* where environment_at takes it from */
+    environment_at(me, &at->t, at->x, at->u);
+    me->res[0] = r;
+    me->res[1] = with_matrix ? me->drdy : NULL;
+    return CALL(loop);
 }
 
-/* Size of a correction of y, relative to y or its nominal values. */
-static double relative_size(const double *correction, const double *y) {
-    double size = 0.0;
-    for (int i = 0; i < NY; i++)
-        size = fmax(size, fabs(correction[i]) / fmax(model.y_nominal[i], fabs(y[i])));
-    return size;
-}
+static inline double loop_nominal(int i) { return model.y_nominal[i]; }
 
-/* Newton's method for s.y, damped until the next correction (with the same Jacobian) is smaller: the natural
- * monotonicity test, which no scaling of the equations changes [Deuflhard, Newton Methods for Nonlinear Problems,
- * 2004]. 0 on success. */
+static inline int factorise_matrix(Instance *me) { return FACTORISE(R, me->drdy, &me->lu_loop); }
+
+INLINED void solve_matrix(Instance *me, double *b) { SOLVE(R, &me->lu_loop, b); }
+
+void solve_linear_loop(Instance *me, double *b) { solve_matrix(me, b); }
+
 static int newton(Instance *me, double t, const double *x, const double *u) {
-    static const double CONVERGED = 1e-9;  /* the error after this correction is about its square */
-    static const double ROUNDING = 1e-6;   /* corrections that are smaller and no longer shrink are rounding */
-    static const double SHORTEST = 1e-12;  /* part of a correction */
-    static const int STALLED = 3;          /* corrections of which no part helps, as at a kink, before it is given up */
-    double r[LENGTH(NY)], old[LENGTH(NY)], next[LENGTH(NY)];
-    double *y = me->s.y, part;
-    for (int iteration = 0, stalled = 0; iteration < 100 && stalled < STALLED; iteration++) {
-        environment_at(me, &t, x, u);
-        me->res[0] = r;
-        me->res[1] = me->drdy;
-        if (CALL(loop) || !all_finite(r, NY)) return 1;
-        int solved = 1;
-        for (int i = 0; i < NY; i++) solved &= r[i] == 0.0;
-        if (solved) return 0;
-        if (FACTORISE(R, me->drdy, &me->lu_loop)) return 1;
-        SOLVE(R, &me->lu_loop, r);
-        const double size = relative_size(r, y);
-        memcpy(old, y, sizeof old);
-        for (int i = 0; i < NY; i++) y[i] -= r[i];
-        if (size <= CONVERGED) return !all_finite(y, NY);
-        for (part = 1.0; part > SHORTEST; part *= 0.5) {
-            for (int i = 0; i < NY; i++) y[i] = old[i] - part * r[i];
-            environment_at(me, &t, x, u);
-            me->res[0] = next;
-            if (CALL(loop)) return 1;
-            if (!all_finite(next, NY)) continue;
-            SOLVE(R, &me->lu_loop, next);
-            const double left = relative_size(next, old);
-            if (left < (1.0 - 0.5 * part) * size) break;
-            if (size < ROUNDING) return 0;
-        }
-        stalled += part <= SHORTEST;
-    }
-    return 1;
+    static const Unknowns loop = {NY, loop_nominal, loop_at, factorise_matrix, solve_matrix};
+    const Place at = {t, x, u};
+    double work[3 * LENGTH(NY)];
+    return damped_newton(me, &loop, &at, me->s.y, work);
+}
+
+/* The model's start values of y. */
+void begin_loop(Instance *me) {
+    me->arg[0] = me->s.p;
+    me->arg[1] = me->s.d;
+    for (int i = 0; i < SZ_RES; i++) me->res[i] = NULL;
+    me->res[2] = me->s.y;
+    CALL(start);
 }
 
 /* Solves loop(t, x, u, ..., y) = 0 for s.y from the last solution, or else from the model's start values; 0 on success.
@@ -84,11 +62,7 @@ int solve_loop(Instance *me, double t, const double *x, const double *u) {
     double last[LENGTH(NY)];
     memcpy(last, me->s.y, sizeof last);
     if (!newton(me, t, x, u)) return 0;
-    me->arg[0] = me->s.p;
-    me->arg[1] = me->s.d;
-    for (int i = 0; i < SZ_RES; i++) me->res[i] = NULL;
-    me->res[2] = me->s.y;
-    CALL(start);
+    begin_loop(me);
     if (!newton(me, t, x, u)) return 0;
     memcpy(me->s.y, last, sizeof last);
     return 1;
@@ -241,7 +215,5 @@ int factorise_loop(Instance *me, double t, const double *x, const double *u) {
     environment_at(me, &t, x, u);
     me->res[1] = me->drdy;
     me->res[2] = me->drdt;
-    return CALL(loop) || FACTORISE(R, me->drdy, &me->lu_loop);
+    return CALL(loop) || factorise_matrix(me);
 }
-
-void solve_linear_loop(Instance *me, double *b) { SOLVE(R, &me->lu_loop, b); }

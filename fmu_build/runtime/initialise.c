@@ -2,7 +2,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "newton.h"
 
 /* A new or reset instance: every byte of the state is defined, so that equal runs are equal bit by bit. */
 void set_defaults(Instance *me) {
@@ -31,58 +31,40 @@ static int leave_zero(State *s) {
     return moved;
 }
 
-/* Newton for the implicit initial equations: unknowns [x; y]. */
+static int initial_at(Instance *me, const Place *at, const double *v, double *r, int with_matrix) {
+    State *s = &me->s;
+    memcpy(s->x, v, BYTES(NX));
+    memcpy(s->y, v + NX, (size_t)NY * sizeof *v);
+    environment_at(me, &at->t, s->x, at->u);
+    me->arg[9] = s->xs;
+    me->res[0] = r;
+    me->res[1] = with_matrix ? me->initial : NULL;
+    return CALL(initial);
+}
+
+/* The implicit initial equations: unknowns [x; y]. */
 static int newton_from_here(Instance *me) {
     const int N = NX + NY;
     State *s = &me->s;
-    double r[LENGTH(N)], old[LENGTH(N)];
-    double last = INFINITY;
-    for (int iteration = 0; iteration < 200; iteration++) {
-        environment_at(me, &s->t, s->x, s->u);
-        me->arg[9] = s->xs;
-        me->res[0] = r;
-        me->res[1] = me->initial;
-        if (CALL(initial)) return 1;
-        double norm = 0.0;
-        for (int i = 0; i < N; i++) norm += r[i] * r[i];
-        if (norm == 0.0) return 0;
-        if (!isfinite(norm) || (norm > 4.0 * last && iteration > 0) || FACTORISE(I, me->initial, &me->lu_start)) {
-            if (iteration == 0) {
-                if (!leave_zero(s)) return 1;
-                iteration = -1;
-                continue;
-            }
-            /* too far, or where the equations are singular: go half the way back */
-            int moved = 0;
-            for (int i = 0; i < N; i++) {
-                double *value = i < NX ? &s->x[i] : &s->y[i - NX];
-                const double half = 0.5 * (*value + old[i]);
-                moved |= half != *value;
-                *value = half;
-            }
-            if (!moved) return 1;
-            continue;
-        }
-        last = norm;
-        SOLVE(I, &me->lu_start, r);
-        double step = 0.0;
-        for (int i = 0; i < N; i++) {
-            double *value = i < NX ? &s->x[i] : &s->y[i - NX];
-            const double scale = i < NX ? model.x_scale[i] : model.y_nominal[i - NX];
-            step = fmax(step, fabs(r[i]) / fmax(scale > 0.0 ? scale : 1.0, fabs(*value)));
-            old[i] = *value;
-            *value -= r[i];
-        }
-        if (step <= 1e-10) return 0;
-    }
-    return 1;
+    double v[LENGTH(N)], work[3 * LENGTH(N)];
+    const Unknowns start = {N, initial_nominal, initial_at, factorise_initial, solve_linear_initial};
+    const Place at = {s->t, s->x, s->u};
+    memcpy(v, s->x, BYTES(NX));
+    memcpy(v + NX, s->y, (size_t)NY * sizeof *v);
+    if (damped_newton(me, &start, &at, v, work)) return 1;
+    return initial_at(me, &at, v, work, 1) || !is_initial(me, v, work);
 }
 
-/* From the last solution, of other relations, or else from the start values. */
+/* From the last solution, of other relations, or else from the start values, or else with those of zero left. */
 static int solve_initial(Instance *me) {
     if (!newton_from_here(me)) return 0;
-    memcpy(me->s.x, me->s.xs, BYTES(NX));
-    return newton_from_here(me);
+    for (int again = 0; again < 2; again++) {
+        memcpy(me->s.x, me->s.xs, BYTES(NX));
+        begin_loop(me);
+        if (again && !leave_zero(&me->s)) return 1;
+        if (!newton_from_here(me)) return 0;
+    }
+    return 1;
 }
 
 static Status solve_start(Instance *me) {

@@ -80,6 +80,7 @@ typedef struct {
 } State;
 
 typedef struct Instance Instance;
+typedef struct LeastNorm LeastNorm;
 
 /* Where messages go: the importer's callback, of a type that only `log` knows. */
 typedef struct {
@@ -106,6 +107,7 @@ struct Instance {
     double *matrix, *drdy, *drdt;
     double *initial;
     Factors lu_step, lu_loop, lu_start;
+    LeastNorm *least_norm; /* instead of lu_start, where the initial equations are singular; else NULL */
     double *remembered; /* pieces of the past of delay(), and room for so many */
     size_t room;
     Listener listener;
@@ -153,6 +155,7 @@ int parameter_direction(unsigned reference, Direction *s, double *start);
 
 /* equations.c: evaluation of the generated functions */
 const double **environment_at(Instance *me, const double *t, const double *x, const double *u);
+void begin_loop(Instance *me);
 int solve_loop(Instance *me, double t, const double *x, const double *u);
 int factorise_loop(Instance *me, double t, const double *x, const double *u);
 void solve_linear_loop(Instance *me, double *b);
@@ -181,6 +184,13 @@ Status check_assertions(Instance *me);
 
 /* starts.c */
 Status read_starts(Instance *me, const char *location);
+
+/* least_norm.c */
+double initial_nominal(int i);
+int factorise_initial(Instance *me);
+void solve_linear_initial(Instance *me, double *b);
+int is_initial(const Instance *me, const double *v, const double *r);
+void free_initial(Instance *me);
 
 /* initialise.c */
 void set_defaults(Instance *me);

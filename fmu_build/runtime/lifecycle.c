@@ -40,6 +40,7 @@ void free_instance(Instance *me) {
     free_pivoted(&me->lu_step.other);
     free_pivoted(&me->lu_loop.other);
     free_pivoted(&me->lu_start.other);
+    free_initial(me);
     free(me->remembered);
     free(me->name);
     free(me);

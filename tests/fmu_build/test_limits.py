@@ -90,13 +90,48 @@ def test_homotopy_chooses_the_first_solution_and_nothing_is_told(simulate, tmp_p
     assert "may have several solutions" in warning
 
 
-def test_initial_equations_are_solved_past_a_point_where_they_are_singular(simulate):
-    text = (  # Newton's first step from (10, 10) ends at (15, 2.5), where the Jacobian is singular
+INITIAL = {
+    # Newton's first step from (10, 10) ends at (15, 2.5), where the Jacobian is singular
+    "past a point where they are singular": (
         "Real x(start = 10); Real y(start = 10); initial equation der(x) = 0; der(y) = 0; "
-        "equation der(x) = x*(0.1 - 0.02*y); der(y) = y*(0.01*x - 0.3);"
+        "equation der(x) = x*(0.1 - 0.02*y); der(y) = y*(0.01*x - 0.3);", {"x": 30, "y": 5},
+    ),
+    "from where whole steps lead away": (
+        "Real x(start = 5); initial equation der(x) = 0; equation der(x) = atan(1 - x);", {"x": 1},
+    ),
+    "over a bend between whose sides whole steps go to and fro": (
+        "Real x(start = 3); Real y; initial equation der(x) = 0; equation der(x) = -y; "
+        "y = smooth(0, noEvent(if x > 0.1 then 1 + 0.1*x else if x < -0.1 then -1 + 0.1*x else 10.1*x));", {"x": 0},
+    ),
+    "from zero, where they are singular": (
+        "Real x; initial equation der(x) = 0; equation der(x) = 4 - x^2;", {"x": 2},
+    ),
+    "where friction holds what shall not accelerate, whatever the current": (
+        "Real w(start = 0, fixed = true); Real i(start = 3); Real x(start = 5); initial equation der(w) = 0; der(x) = 0; "
+        "equation der(w) = if i <= 4 then 0 else i - 4; der(i) = -i; der(x) = w - x;", {"i": 3, "x": 0},
+    ),
+    "with a flow that says nothing where its valve is shut": (
+        "connector P Real p; flow Real q(start = 0); end P; "
+        "model T P p(p(start = 2)); initial equation p.p = 3; equation der(p.p) = p.q; end T; "
+        "model V P a; P b; Real o; equation a.q + b.q = 0; a.q = o*(a.p - b.p); der(o) = 1 - o; end V; "
+        "T t; V v; T r; equation connect(t.p, v.a); connect(v.b, r.p);", {"t.p.p": 3, "v.o": 0},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", INITIAL)
+def test_initial_equations_are_solved(simulate, case):
+    text, values = INITIAL[case]
+    simulated = simulate(text, list(values), stop_time=0.1)[0]
+    assert {name: simulated[name] for name in values} == pytest.approx(values, rel=1e-9, abs=1e-9)
+
+
+def test_what_is_at_rest_stays_at_rest_beside_equations_that_move_it_much_more(simulate):
+    text = (
+        "Real w(start = 0, fixed = true); Real a(start = 1); Real b(start = 2); initial equation der(a) = 0; der(b) = 0; "
+        "equation der(w) = -w; der(a) = 1e6*w + 0.1*a + 0.3*b - 0.7; der(b) = 3e5*w - 0.3*a + 0.1*b - 0.1;"
     )
-    simulated = simulate(text, ["x", "y"], stop_time=0.1)[0]
-    assert (simulated["x"], simulated["y"]) == pytest.approx((30.0, 5.0), rel=1e-9)
+    assert simulate(text, ["w"], stop_time=0.1)["w"][0] == 0.0
 
 
 def test_what_is_driven_back_to_its_threshold_stays_there_within_the_tolerance(simulate, capfd):
