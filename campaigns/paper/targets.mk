@@ -7,3 +7,4 @@ paper: build/fmus/FreeShaft.fmu build/fmus/EccentricLoad.fmu campaigns/paper/mea
 	$(BIN)/fmuid identify campaigns/paper --out runs/paper/direct
 	$(BIN)/fmuid identify campaigns/paper --solver auto --out runs/paper/least_squares --no-report
 	$(BIN)/python -m benchmarks.paper_reproduced page runs/paper/direct runs/paper/least_squares
+	$(BIN)/python -m benchmarks.multibody_load
