@@ -20,6 +20,7 @@ from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
+from fmuid.data.thinning import averaged
 from fmuid.diagnosis import calibration, decide
 from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import Fitted, estimates, refit_only
@@ -271,6 +272,8 @@ def diagnose(
         if recorded is not None:
             runner = recorded.over(runner)
         say("noise floor", 0.0)
+        recorded_runs = campaign.measurements
+        campaign, notes = averaged(campaign)
         campaign = with_catalogue(campaign, load_simulator, runner=runner)
         subject = _subject(campaign, runner, experiments, tolerance or {})
         key = calibration.key_of(_files(campaign, subject), subject)
@@ -283,10 +286,11 @@ def diagnose(
         def subject_with(changed: Campaign) -> Subject:
             return _subject(changed, runner, experiments, tolerance or {})
 
+        timing = partial(with_timing_of_log, runner=runner)  # that of averaged samples is known
         campaign, outcome = _looked_again(
             campaign,
             outcome,
-            (partial(with_timing_of_log, runner=runner), partial(with_starts_of_runs, subject_with=subject_with)),
+            (*(() if notes else (timing,)), partial(with_starts_of_runs, subject_with=subject_with)),
             lambda changed: diagnose_subject(subject_with(changed), seed=seed, calibration=curves),
         )
         law = law and not nearly_explained(outcome.diagnosis)
@@ -298,8 +302,15 @@ def diagnose(
             added = tabulate(outcome, campaign.models, load_simulator, say=say, seed=seed)
             outcome = outcome if added is None else _with_table(outcome, added)
         say("comparing machines", 0.968)
-        outcome = replace(outcome, diagnosis=replace(outcome.diagnosis, machines=_machines(outcome)))
-        outcome = replace(outcome, rehearsal=tuple(rehearsal))
+        recordings = {id: recorded_runs[id].digest for id in outcome.subject.recordings}
+        outcome = replace(
+            outcome,
+            subject=replace(outcome.subject, recordings=recordings),
+            diagnosis=replace(
+                outcome.diagnosis, machines=_machines(outcome), notes=(*notes, *outcome.diagnosis.notes)
+            ),
+            rehearsal=tuple(rehearsal),
+        )
         if folder is not None:
             say("drawing", 0.97)
             _write(outcome, campaign, folder, seed, added)
