@@ -222,7 +222,7 @@ def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch)
         assert diagnose_subject(subject).diagnosis.added_sensor is not None
 
 
-def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
+def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer(monkeypatch):
     """The reading goes wrong in a way that is no law of the catalogue: the asymmetry is named, and what is left."""
     subject = misread(plant({"a": 0.01}), lambda v, _: 0.004 * np.sin(40.0 * v))
     answer = diagnose_subject(subject).diagnosis
@@ -231,6 +231,9 @@ def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer():
     assert answer.verdict.rest is not None
     assert answer.verdict.rest.gap == pytest.approx(answer.gap.corrected)
     assert answer.verdict.rest.where.startswith("v in ")
+    assert not answer.verdict.provisional
+    monkeypatch.setattr("fmuid.diagnosis.decide.MOST_CALIBRATED", 0)  # as many effects as nothing was calibrated on
+    assert diagnose_subject(subject).diagnosis.verdict.provisional
 
 
 @pytest.mark.parametrize(

@@ -567,12 +567,12 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
+    best = best if part is None else part.fitted
     provisional = provisional or len(best.effects) > decide.MOST_CALIBRATED
     if part is not None:
-        best = part.fitted
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
         beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))
-        return Judgement(Verdict("partial", best.effects, (), named, stable, beside), (best,), entered)
+        return Judgement(Verdict("partial", best.effects, (), named, stable, beside, provisional), (best,), entered)
     rest = None if done else Rest(best.gap, _where_left(subject, best, paths))
     if len(surviving) == 1:
         kind = "partial" if provisional and rest is not None and not named_at_all else "effect"
