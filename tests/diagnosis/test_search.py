@@ -231,9 +231,10 @@ def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer(monkeypatc
     assert answer.verdict.rest is not None
     assert answer.verdict.rest.gap == pytest.approx(answer.gap.corrected)
     assert answer.verdict.rest.where.startswith("v in ")
-    assert not answer.verdict.provisional
-    monkeypatch.setattr("fmuid.diagnosis.decide.MOST_CALIBRATED", 0)  # as many effects as nothing was calibrated on
-    assert diagnose_subject(subject).diagnosis.verdict.provisional
+    for most in (1, 0):  # effects that probabilities were calibrated on
+        monkeypatch.setattr("fmuid.diagnosis.decide.MOST_CALIBRATED", most)
+        verdict = diagnose_subject(subject, calibration=Calibration()).diagnosis.verdict
+        assert (verdict.kind, verdict.provisional) == ("partial", most == 0)
 
 
 @pytest.mark.parametrize(

@@ -572,7 +572,8 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
     if part is not None:
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
         beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))
-        return Judgement(Verdict("partial", best.effects, (), named, stable, beside, provisional), (best,), entered)
+        verdict = Verdict("partial", best.effects, (), named, stable, beside, provisional)
+        return Judgement(verdict, (best,), entered)
     rest = None if done else Rest(best.gap, _where_left(subject, best, paths))
     if len(surviving) == 1:
         kind = "partial" if provisional and rest is not None and not named_at_all else "effect"
