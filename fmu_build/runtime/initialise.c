@@ -52,12 +52,14 @@ static int newton_from_here(Instance *me) {
     memcpy(v, s->x, BYTES(NX));
     memcpy(v + NX, s->y, (size_t)NY * sizeof *v);
     if (damped_newton(me, &start, &at, v, work)) return 1;
-    return initial_at(me, &at, v, work, 1) || !is_initial(me, v, work);
+    if (initial_at(me, &at, v, work, 1)) return 1;
+    return !factorise_initial(me) && !is_initial(me, v, work);
 }
 
-/* From the last solution, of other relations, or else from the start values, or else with those of zero left. */
+/* From the last solution, of other relations, or else from the start values, or else with those of zero left. Where the
+ * equations leave something open, the start values count, not the other relations. */
 static int solve_initial(Instance *me) {
-    if (!newton_from_here(me)) return 0;
+    if (!newton_from_here(me) && !me->least_norm) return 0;
     for (int again = 0; again < 2; again++) {
         memcpy(me->s.x, me->s.xs, BYTES(NX));
         begin_loop(me);

@@ -1,5 +1,5 @@
 /* The linear equations of the start, which may be singular in a mode: where friction holds a shaft, its acceleration is
- * zero whatever the current. The step to their solution is then that of least norm. */
+ * zero whatever the current. Their solution is then the one nearest to the start values. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

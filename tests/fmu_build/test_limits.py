@@ -110,6 +110,10 @@ INITIAL = {
         "Real w(start = 0, fixed = true); Real i(start = 3); Real x(start = 5); initial equation der(w) = 0; der(x) = 0; "
         "equation der(w) = if i <= 4 then 0 else i - 4; der(i) = -i; der(x) = w - x;", {"i": 3, "x": 0},
     ),
+    "where friction holds it after all, from the start value again": (
+        "Real w(start = 0, fixed = true); Real i(start = 3); Real x(start = 0); initial equation der(w) = 0; der(x) = 0; "
+        "equation der(w) = if x > 0.5 then 0 else i - 4; der(i) = -i; der(x) = 1 - x;", {"i": 3, "x": 1},
+    ),
     "with a flow that says nothing where its valve is shut": (
         "connector P Real p; flow Real q(start = 0); end P; "
         "model T P p(p(start = 2)); initial equation p.p = 3; equation der(p.p) = p.q; end T; "
