@@ -168,8 +168,8 @@ class _Flattener:
             initial_equations=tuple(self.initial.equations),
             algorithms=tuple(self.algorithms),
             initial_algorithms=tuple(self.initial_algorithms),
-            whens=tuple(self.sink.whens),
-            asserts=(*connections.asserts, *self.sink.asserts, *self.initial.asserts),
+            whens=(*self.sink.whens, *map(_at_start, self.initial.asserts)),
+            asserts=(*connections.asserts, *self.sink.asserts),
             experiment=_experiment(definition),
             structural=frozenset(self.resolver.structural),
             files=tuple(sorted(self.world.library.used)),
@@ -591,6 +591,11 @@ def _no_equation(item: Any) -> str:
         return "this equation is not supported"
     name = item.call.function
     return f"a call of '{name}' as an equation is not supported"
+
+
+def _at_start(item: Assert) -> WhenStatement:
+    """Check an assertion of the initial equations at the start alone."""
+    return WhenStatement(item.at, ((Call(item.at, "initial", ()), (item,)),))
 
 
 def _guarded(conditions: Sequence[Expression | None], sinks: Sequence[_Sink]) -> Iterator[Assert]:

@@ -224,6 +224,12 @@ def test_what_is_printed_is_a_warning(simulate, capfd, section):
     assert capfd.readouterr().out.count("half, and n is 2") == 1
 
 
+def test_an_assertion_among_initial_equations_is_checked_at_the_start_alone(simulate, tmp_path):
+    text = 'Real y(start = {}, fixed = true); initial equation assert(y < 0.5, "too far"); equation der(y) = 1;'
+    assert simulate(text.format(0), ["y"], stop_time=1)["y"][-1] == pytest.approx(1.0)
+    assert "too far" in failure(tmp_path, text.format(0.6), "y")
+
+
 @pytest.mark.parametrize("section", ["equation", "algorithm"])
 def test_what_is_asserted_at_an_event_is_checked_there(tmp_path, section):
     text = f'Real y = time; {section} when y > 0.5 then assert(y > 1, "too early"); end when;'
