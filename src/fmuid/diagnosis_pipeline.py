@@ -28,10 +28,11 @@ from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_correcte
 from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, odds_of_starts, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
-from fmuid.diagnosis.extended_model import Prediction
+from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
+from fmuid.diagnosis.scores import SEEN
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences
 from fmuid.diagnosis.varying import course_of
@@ -47,6 +48,7 @@ from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.pool.choice import runner_on
 from fmuid.simulation.recorded import RecordedSimulations
 from fmuid.simulation.runners import Runner, in_process
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.signal_effects import signal_and_property
 
 if TYPE_CHECKING:
@@ -93,7 +95,8 @@ def with_starts_of_runs(
     """Return the campaign with start states that are estimated for each run, and a note.
 
     None unless these explain a third of the gap, and are likelier than the best explanation; a firm verdict stays.
-    A log that begins in motion may start at the model's outputs and depart from them in what follows.
+    A log that begins in motion may start at the model's outputs and depart from them in what follows, unless every
+    state is measured.
     """
     verdict, explained = outcome.diagnosis.verdict, outcome.corrected
     firm = verdict.kind == "complete" or (verdict.kind == "effect" and not verdict.provisional)
@@ -108,8 +111,8 @@ def with_starts_of_runs(
     freed = replace(campaign, stages=stages)
     subject = subject_with(freed)
     observed = with_states(subject.observed, subject.model, outcome.nominal.fit.values)
-    if not observed.nuisances:
-        return None  # a model that cannot be restarted
+    if not observed.nuisances or _begin_as_modelled(outcome, subject):
+        return None  # a model that cannot be restarted, or has no reason to
     fit = refit_only(replace(subject, observed=observed), (), [outcome.nominal.fit.values])
     if fit is None or odds_of_starts(fit, outcome.nominal, explained, observed) <= 0.0:
         return None
@@ -122,6 +125,20 @@ def with_starts_of_runs(
         " stages of campaign.toml"
     )
     return freed, note
+
+
+def _begin_as_modelled(outcome: Found, freed: Subject) -> bool:
+    """Return whether the runs show every state that could be freed, each beginning where the model says."""
+    states = {c.setup: c.simulator.states for c in freed.model.cases if isinstance(c.simulator, Segmented)}
+    model, observed = outcome.subject.model, outcome.subject.observed
+    (prediction,) = predicted(model, [outcome.nominal.fit.values])
+    for case, run, rows in zip(model.cases, observed.runs, prediction, strict=True):
+        sigma = observed.noise[run.setup].of_mean(run.n_repeats)
+        seen = np.abs(rows[:, 0] - run.mean[:, 0]) <= SEEN * sigma
+        shown = {channel.variable for channel, there in zip(case.channels, seen, strict=True) if there}
+        if not shown.issuperset(states.get(case.setup, ())):
+            return False
+    return True
 
 
 def _looked_again(

@@ -12,10 +12,11 @@ from fmu_build import build
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
-from fmuid.diagnosis_pipeline import with_starts_of_runs, with_timing_of_log
+from fmuid.diagnosis_pipeline import _begin_as_modelled, with_starts_of_runs, with_timing_of_log
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.runners import in_process
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Task
 
 MODEL = """
@@ -92,3 +93,20 @@ def test_start_states_are_not_tried_through_sensors_with_a_model():
     )
     campaign = SimpleNamespace(stages={"all": SimpleNamespace(segments=0.5, observer=None)})
     assert with_starts_of_runs(campaign, outcome, None) is None
+
+
+@pytest.mark.parametrize(
+    ("first", "states", "as_modelled"), [(0.02, ("w",), True), (0.5, ("w",), False), (0.02, ("w", "T"), False)]
+)
+def test_start_states_are_not_tried_where_the_log_shows_that_each_begins_as_modelled(first, states, as_modelled):
+    begun = object.__new__(Segmented)
+    begun._states = states
+    case = SimpleNamespace(setup="bench", simulator=begun, channels=[SimpleNamespace(variable="w")])
+    run = SimpleNamespace(setup="bench", n_repeats=1, mean=first + np.zeros((1, 9)))
+    noise = {"bench": SimpleNamespace(of_mean=lambda _: np.array([0.01]))}
+    model = SimpleNamespace(cases=[case], predict=lambda points: [(np.zeros((1, 9)),)])
+    outcome = SimpleNamespace(
+        nominal=SimpleNamespace(fit=SimpleNamespace(values={})),
+        subject=SimpleNamespace(model=model, observed=SimpleNamespace(runs=[run], noise=noise)),
+    )
+    assert _begin_as_modelled(outcome, SimpleNamespace(model=model)) is as_modelled
