@@ -189,7 +189,7 @@ compliance: $(DEVELOPER)
 # Changes that no test of the numerical core detects: build/mutation/survivors.md. MODULE=features: only those of this module.
 mutation: $(DEVELOPER)
 	$(PIP) --editable ".[mutation]"
-	$(BIN)/python benchmarks/mutation.py $(MODULE)
+	.ci/mutation $(BIN) $(MODULE)
 
 # Pictures of reports in docs/figures; needs a browser: Chromium or Chrome.
 screenshots: $(DEVELOPER)

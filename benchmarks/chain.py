@@ -6,8 +6,7 @@ as the FMU does. CVODE of scikit-SUNDAE (SuperLU_MT) and SciPy's Radau and BDF g
 equations in NumPy; no step of theirs is longer than a sample. The error is the root mean square of the position of
 the first mass, relative to its largest value, against SciPy's DOP853 at 1e-12, restarted at every sample.
 
-``python benchmarks/chain.py 10 100`` prints the tables for so many masses; scikit-SUNDAE runs if
-``make build/peers/sundae/.ready`` has made its environment.
+scikit-SUNDAE runs if ``make build/peers/sundae/.ready`` has made its environment.
 """
 
 from __future__ import annotations
@@ -15,8 +14,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -250,13 +247,3 @@ def _sundae(python: Path, folder: Path, n: int, truth: np.ndarray, tolerances: S
     if done.returncode != 0:
         return []
     return [(_error(np.array(run["y"]), truth), run["seconds"]) for run in json.loads(done.stdout)]
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Print the tables for numbers of masses."""
-    with tempfile.TemporaryDirectory() as name:
-        print(page(measure(Path(name), [int(n) for n in arguments])))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
