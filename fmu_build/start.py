@@ -137,14 +137,15 @@ class _Written:
             [(self._rank(i), 0, position) for position, i in enumerate(open_)]
             + [(self._others[n][0].start_rank, 1, n) for n in others]
         )
-        taken = ranked
+        first = ranked
         for near in (False, True):  # what says nothing at the start is no condition: a flow through a shut valve
-            ranked = [r for r in ranked if r in taken or not r[1] or r[0] == 0]
+            ranked = [r for r in ranked if r in first] + [r for r in ranked if r not in first and not r[1]]
             rows = [c for c, _ in conditions]
             for _, other, n in ranked:
                 rows.append(self._others[n][1] if other else states[open_[n]].symbol - starts[open_[n]].value)
             _, independent = _independent(self._system, rows, columns, self._at_start, near=near)
             taken = [ranked[row - len(conditions)] for row in sorted(independent) if row >= len(conditions)]
+            first = [r for r in ranked if r in taken or (r[1] and r[0] == 0)]
         kept = {open_[n] for _, other, n in taken if not other}
         self._used = {n for _, other, n in taken if other}
         out = [*conditions, *((self._others[n][1], self._others[n][0].at) for n in sorted(self._used))]

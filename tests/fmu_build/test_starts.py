@@ -11,6 +11,8 @@ from tests.fmu_build.simulate import Instance
 
 SPECIES = """type T = Real(start = 7); model S parameter Real V = 2; Real n; Real c; equation der(n) = -0.1*c; c = n/V; end S;
   model G parameter Real V = 2; Real n(start = 1); Real c(start = 1); equation der(n) = -0.1*c; c = n/V; end G;
+  model V Real o; Real p(start = 2); Real q; equation der(o) = 1 - o; der(p) = -q; q = (o + 1)*(p - 2); end V;
+  model Q V v(q(start = 0)); end Q;
 """
 CASES = {
     "of a variable that follows from the state": (
@@ -32,6 +34,9 @@ CASES = {
                                       ["fixed: b", "start value of 's.n' contradicts that of 'b'"]),
     "of two aliases that agree": ("Real a(start = 2); Real b(start = 2); equation der(a) = -a; b = a;", "a", 2,
                                   ["fixed: a"]),
+    "of a variable on which one state alone has an influence at the start": (
+        "Q q;", "q.v.p", 2, ["fixed: q.v.o, q.v.q"],
+    ),
     "of a type": ("T c; Real n; equation der(n) = -n; c = n/2;", "n", 0, ["fixed: n"]),
     "where the state is fixed": (
         "Real n(start = 3, fixed = true); Real c(start = 5); equation der(n) = -0.1*c; c = -n;", "n", 3,
