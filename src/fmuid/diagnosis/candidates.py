@@ -94,9 +94,7 @@ def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> F
 _End = TypeVar("_End", bound=tuple[Any, ...])
 _SHARES = (1 / 8, 1 / 4, 1 / 2)  # of every run
 _EARLY = _SHARES[1]  # of a run, over which effects are first compared
-_GROWTH = (
-    2.0  # of a response from the first half of the runs to the second: steady is 1, in proportion to time 2.6
-)
+_GROWTH = 2.0  # of a response, second half over first half: steady is 1, in proportion to time 2.6
 _SHORTEST = 64  # samples in a beginning: a spectrum needs as many
 _ITERATIONS = 6  # of a quick search: on a longer horizon, or with care, another one continues
 _KEPT = 3  # starts that go on to the next horizon
