@@ -20,7 +20,7 @@ from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
-from fmuid.data.thinning import averaged
+from fmuid.data.averaging import averaged
 from fmuid.diagnosis import calibration, decide
 from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import Fitted, estimates, refit_only

@@ -8,8 +8,8 @@ import pytest
 
 from fmuid.core.campaign import Campaign, ModelSpec
 from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.data.averaging import averaged
 from fmuid.data.filtering import first_order
-from fmuid.data.thinning import averaged
 
 STEP, LAG = 1e-3, 0.5
 
