@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_build import compile_modelica
+from fmu_build import compile_flat, compile_modelica, load
 from fmu_build.errors import ModelicaError
+from fmu_build.instrument import Added, instrument
+from fmu_build.model_ports import find_ports
 from tests.conftest import LIBRARY_FOLDERS, MODELICA
+from tests.every_law import every_law
 from tests.fmu_build.simulate import Instance, states
 
 # Plane frames: a position and a redundant orientation (cosine and sine of the angle).
@@ -116,9 +119,13 @@ def test_wrong_graphs_are_refused(tmp_path: Path, model: str, message: str) -> N
         compiled(tmp_path, f"  model M inner World world; {model} end M;\n")
 
 
-def test_the_eccentric_load_of_multibody_equals_the_torque_of_its_weight() -> None:
+def needs_the_library() -> None:
     if not any((folder / "Modelica" / "package.mo").is_file() for folder in LIBRARY_FOLDERS):
         pytest.skip("no Modelica Standard Library in MODELICAPATH or a tool's folder")
+
+
+def test_the_eccentric_load_of_multibody_equals_the_torque_of_its_weight() -> None:
+    needs_the_library()
     plain, body = (
         Instance.of(
             compile_modelica(
@@ -133,3 +140,67 @@ def test_the_eccentric_load_of_multibody_equals_the_torque_of_its_weight() -> No
         x = np.random.default_rng(seed).normal(size=len(order))
         expected = plain.derivative(0.0, x, [1.0])[order]
         np.testing.assert_allclose(body.derivative(0.0, x[order], [1.0]), expected, rtol=1e-6)
+
+
+# An arm of 2 kg with its centre of mass at 0.2 m: a body in frames of this file or of the library, or a torque.
+ARMS = {
+    "frames": """
+    model Hinge extends Joint(tau = axis.tau); Rotational.Interfaces.Flange_a axis; equation axis.phi = phi; end Hinge;
+    inner World world; Hinge joint(phi(fixed = true), w(fixed = true)); Rod rod(l = 0.2, m = 2);
+  equation
+    connect(world.frame, joint.a); connect(joint.b, rod.a);""",
+    "MultiBody": """
+    import Modelica.Mechanics.MultiBody;
+    inner MultiBody.World world(enableAnimation = false, g = 9.81, n = {0, -1, 0});
+    MultiBody.Joints.Revolute joint(useAxisFlange = true, animation = false, phi(fixed = true), w(fixed = true));
+    MultiBody.Parts.Body rod(m = 2, r_CM = {0.2, 0, 0}, I_33 = 0, animation = false);
+  equation
+    connect(world.frame_b, joint.frame_a); connect(joint.frame_b, rod.frame_a);""",
+    "torque": """
+    model Arm
+      Rotational.Interfaces.Flange_a axis; Real phi(fixed = true); Real w(fixed = true);
+    equation
+      axis.phi = phi; w = der(phi); 2*0.2^2*der(w) = axis.tau - 2*9.81*0.2*cos(phi);
+    end Arm;
+    Arm joint;
+  equation""",
+}  # fmt: skip
+MOTOR = """
+    import Modelica.Mechanics.Rotational;
+    model Rotor Rotational.Interfaces.Flange_b flange; Real w; input Real torque(unit = "N.m");
+    equation w = der(flange.phi); 0.01*der(w) = flange.tau + torque; end Rotor;
+    Rotor rotor; input Real tau(unit = "N.m");"""
+
+
+def accelerations(tmp_path: Path, arm: str) -> dict[str, list[float]]:
+    """The joint's acceleration in four states, without a law and with each that makes no variant at its flange."""
+    file = tmp_path / "P.mo"
+    flanges = "rotor.torque = tau; connect(rotor.flange, joint.axis);"
+    file.write_text(f"{PLANE}  model M {MOTOR}{ARMS[arm]} {flanges}\n  end M;\nend P;\n")
+    flat = load(file, "P.M", LIBRARY_FOLDERS if arm == "MultiBody" else ())
+    (node,) = (p for p in find_ports(flat) if p.kind == "node" and p.domain == "rotational")
+    assert "joint.axis" in {*node.connectors, *node.same}
+    effects = [e for e in every_law(flat, tmp_path).effects.values() if e.id.endswith(f"@{node.name}")]
+    effects = [e for e in effects if not e.variant]
+    neutral = {name: value for e in effects for name, value in e.neutral.items()}
+    terms = [t for e in effects for t in e.terms]
+    model = compile_flat(instrument(flat, terms, [Added(*item) for item in neutral.items()]))
+    assert sorted(states(model)) == ["joint.phi", "joint.w"]
+    order = [["joint.phi", "joint.w"].index(name) for name in states(model)]
+    points = np.random.default_rng(1).normal(size=(4, 2))
+    values = {"": neutral} | {e.id.partition("@")[0]: {**neutral, **e.trials[-1]} for e in effects}
+    return {
+        law: [Instance.of(model, v).get("der(joint.w)", 0.3, x[order], [1.0]) for x in points]
+        for law, v in values.items()
+    }
+
+
+@pytest.mark.parametrize("arm", ["frames", "MultiBody"])
+def test_laws_at_the_flange_of_a_joint_between_frames_act_as_at_a_flange_alone(tmp_path: Path, arm: str) -> None:
+    if arm == "MultiBody":
+        needs_the_library()
+    bodies, plain = accelerations(tmp_path, arm), accelerations(tmp_path, "torque")
+    assert {"coulomb", "stribeck", "quadratic", "asymmetry", "weight", "cogging"} <= plain.keys() <= bodies.keys()
+    for law, expected in plain.items():
+        np.testing.assert_allclose(bodies[law], expected, rtol=1e-9)
+        assert not law or not np.allclose(expected, plain[""], rtol=1e-6), law
