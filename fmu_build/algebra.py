@@ -95,6 +95,24 @@ def scalars(value: Value) -> tuple[Scalar, ...]:
     raise TypeError(f"a number is needed here, not {kind(value)}")
 
 
+def stacked(parts: Sequence[Value]) -> Array | Record:
+    """Make an array from its rows; an array of records is a record of arrays."""
+    first = parts[0] if parts else None
+    if not isinstance(first, dict):
+        return Array.stack(parts)
+    return {name: stacked([p[name] for p in parts if isinstance(p, dict)]) for name in first}
+
+
+UNSET: Record = {}  # stands for an argument without a value, which a function may ignore
+
+
+class UnsetError(ValueError):
+    """A variable of a function or an algorithm is used before it has a value."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"'{name}' is used before it has a value")
+
+
 class UnknownSizeError(Exception):
     """A value that must be known at translation (a size, a range, which String) depends on symbols."""
 

@@ -29,7 +29,7 @@ class _Section:
         if name in self.variables and not self._outside:
             value = self.variables[name]
             if value is None:
-                raise ValueError(f"'{name}' is used before it has a value")
+                raise algebra.UnsetError(name)
             return value
         return self._scope.lookup(name)
 

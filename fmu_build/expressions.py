@@ -249,12 +249,7 @@ class Evaluator:
         parts = [self(e) for e in node.items]
         if parts and all(isinstance(p, str) for p in parts):
             return Array((len(parts),), tuple(parts))
-        if parts and all(isinstance(p, dict) for p in parts):
-            # an array of records is a record of arrays
-            first = parts[0]
-            assert isinstance(first, dict)
-            return {name: Array.stack([p[name] for p in parts]) for name in first}  # type: ignore[index]
-        return Array.stack(parts)
+        return algebra.stacked(parts)
 
     def _matrix(self, node: Matrix) -> Value:
         values = [[self(e) for e in row] for row in node.rows]
@@ -400,7 +395,7 @@ class Evaluator:
             for i in algebra.scalars(self(bounds)):
                 with self.iterator(name, i):
                     parts.append(build(level - 1))
-            return Array.stack(parts)
+            return algebra.stacked(parts)
 
         return build(len(node.iterators) - 1)
 
@@ -408,7 +403,14 @@ class Evaluator:
         name, nodes = node.function, node.arguments
         if name in BUILTIN or name in STEPS or name in algebra.FUNCTIONS or name in _SPECIAL:
             return self._builtin(name, nodes)
-        return self._call(name, [None if a is None else self(a) for a in nodes])
+        return self._call(name, [None if a is None else self._argument(a) for a in nodes])
+
+    def _argument(self, node: Expression) -> Value:
+        """Evaluate an argument of a function; the function may ignore a variable that has no value yet."""
+        try:
+            return self._reference(node) if isinstance(node, Reference) else self(node)
+        except algebra.UnsetError:
+            return algebra.UNSET
 
     def _builtin(self, name: str, nodes: tuple[Expression | None, ...]) -> Value:
         given = [n for n in nodes if n is not None]

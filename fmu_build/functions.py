@@ -77,7 +77,7 @@ class _Frame:
     def lookup(self, name: str) -> Value:
         value = self.variables[name]
         if value is None:
-            raise ValueError(f"'{name}' is used before it has a value")
+            raise algebra.UnsetError(name)
         return value
 
     def derivative(self, value: Scalar) -> Scalar:
@@ -180,7 +180,7 @@ class Functions:
             for position, formal in enumerate(function.inputs):
                 given = arguments[position] if position < len(arguments) else None
                 if given is not None:
-                    frame.variables[formal.name] = given
+                    frame.variables[formal.name] = None if given is algebra.UNSET else given
                 elif formal.default is not None:
                     frame.variables[formal.name] = evaluator(formal.default)
                 elif formal.fields is not None:

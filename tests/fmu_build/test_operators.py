@@ -41,6 +41,7 @@ Z = """package P
   end Z;
   operator record Voltage = Z(re(unit = "V"), im(unit = "V"));
   function square input Z a; output Z c; protected Z b; algorithm b := a; c := b*b; end square;
+  function re input Z a; output Real x = a.re; end re;
   connector Pin Voltage v; flow Z i; end Pin;
   model Resistor Pin p; Pin n; parameter Z r = Z(1, 1); equation p.v - n.v = r*p.i; p.i + n.i = Z(0); end Resistor;
   model Ground Pin p; equation p.v = Z(0); end Ground;
@@ -60,6 +61,7 @@ VALUES = {
     "Z a[2] = fill(Z(1, 2), 2); Z b[2] = a.*a;": {"b[1].re": -3.0, "b[2].im": 4.0},
     "Z a[2, 2] = {{Z(1), Z(0, 1)}, {Z(2), Z(1)}}; Z v[2] = {Z(1, 2), Z(3)}; Z b[2] = a*v;": {"b[1].re": 1, "b[1].im": 5, "b[2].re": 5},
     "Z a[2, 2] = {{Z(1), Z(0, 1)}, {Z(2), Z(1)}}; Z b[2, 2] = a*a;": {"b[1,1].re": 1, "b[1,1].im": 2, "b[2,2].im": 2, "b[2,1].re": 4},
+    "function f input Z a[:]; output Real s = sum(re({a[k]*a[k] for k in 1:size(a, 1)})); end f; Real x = f({Z(1, 2), Z(0, time)});": {"x": -3.25},
     "Z a[1] = {Z(1, 2)}; Z b[1] = a + {Z(time)};": {"b[1].re": 1.5, "b[1].im": 2.0},
     "Z a[2]; equation a - fill(Z(1, 2), 2) = fill(Z(0), 2);": {"a[2].re": 1.0, "a[1].im": 2.0},
     "Source s; Resistor r; Ground g; equation connect(s.p, r.p); connect(r.n, g.p);": {"r.p.i.re": 2.5, "r.p.i.im": 1.5},

@@ -55,6 +55,7 @@ REFUSED = {
     'end T; function g input T t; output Real y; external "C" y = read(t); end g; parameter T t = T(y = 1); Real x = g(t);': "external function 'P.M.",
     "import P.Kind.none; Real x = none;": "there is no 'P.Kind.none' to import",
     "final parameter Real k = 1; model Q extends One(final k = 4); end Q; Q q(k = 5);": "'k' is final",
+    "function g input Real a; output Real y = 2*a; end g; function f output Real y; protected Real a; algorithm y := g(a); end f; Real x = f();": "'a' is used before it has a value",
     "Real x = delay(time, time);": "a delay time that varies is not supported",
     "Integer n; Real x = delay(time, n); equation when time > 1 then n = 1; end when;": "a delay time that varies is not supported",
     "Real y; equation (y, ) = spatialDistribution(1, 1, time, true, {0, 0.5}, {1, 1});": "initialPoints must rise from 0 to 1",

@@ -227,6 +227,8 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         function useR input R r; output Real y; algorithm y := r.a + 10*r.b; end useR;
         function base input Real u; output Real y; protected Real k = 2; algorithm y := k*u; end base;
         function derived = base; function changed extends base(k = 5); end changed;
+        function second input Real a; input Real b; output Real y = b; end second;
+        function ignored input Real u; output Real y; protected Real a; algorithm y := second(a, u); end ignored;
         function guarded input Real u; output Real y; algorithm assert(u > -10, "too low"); y := sqrt(u + 10); end guarded;
         function sorted input Real u[3]; output Real v[3]; protected Real t; algorithm v := u;
           for i in 1:2 loop for j in 1:3 - i loop if v[j] > v[j + 1] then t := v[j]; v[j] := v[j + 1]; v[j + 1] := t; end if; end for; end for; end sorted;
@@ -242,7 +244,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
           Real only; Real z = divide(time + 6); Real k5 = firstAbove(w, 5); Real k0 = firstAbove(w, 50); Real steps = countdown(4); Real broken = countdown(100);
           Real c1 = clip(p); Real c2 = clip(-p); Real c3 = clip(p/70); Real root = bisect(p + 2); Real f5 = fact(5);
           R rec = makeR(4); R rec2(a = 1); Real u1 = useR(rec); Real u2 = useR(R(1, 2)); Real u3 = useR(rec2); R arrayOfR[2](a = {1, 2}); Real u4 = useR(arrayOfR[2]);
-          Real der1 = derived(3); Real ch = changed(3); Real gd = guarded(p - 1); Real s3[3] = sorted({p, 3, 5}); Real bs[2] = base({1, 2});
+          Real der1 = derived(3); Real ch = changed(3); Real gd = guarded(p - 1); Real ig = ignored(p); Real s3[3] = sorted({p, 3, 5}); Real bs[2] = base({1, 2});
           Real dynamic = firstAbove(w, p); Real integral(start = 0);
         equation
           (q, r) = divide(9, 3); (, only) = divide(1, 2, 33);
@@ -252,7 +254,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         {
             "looked1": 2, "looked2": 5, "looked3": 7.5, "d1": 4, "d2": 2, "d3": 0.5, "q": 3, "r": 9, "only": 33, "z": 3, "k5": 3, "k0": 0, "steps": 2,
             "broken": 3, "c1": 1, "c2": -1, "c3": 0.1, "root": 3, "f5": 120, "rec.b": 8, "u1": 84, "u2": 21,
-            "u3": 31, "u4": 32, "der1": 6, "ch": 15, "gd": 4, "s3[1]": 3, "s3[3]": 7, "bs[2]": 4, "dynamic": 3,
+            "u3": 31, "u4": 32, "der1": 6, "ch": 15, "gd": 4, "ig": 7, "s3[1]": 3, "s3[3]": 7, "bs[2]": 4, "dynamic": 3,
             "der(integral)": 1, "heron2": 2**0.5, "slope": 0.5 / 2**0.5, "twice": -12, "no": -11, "heronP": 3,
         },
     ),
