@@ -30,11 +30,11 @@ def test_effects_of_a_recorded_signal_have_its_units():
     assert units_of == {
         "gain": ["1"],
         "offset": ["N"],
-        "lag": ["s"],
+        "lag": ["s", "1"],
         "delay": ["s"],
         "saturation": ["1/(N)", "1"],
         "play": ["N"],
-        "drift": ["N/s"],
+        "drift": ["N/s", "1/s"],
     }
 
 

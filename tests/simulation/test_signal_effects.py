@@ -96,6 +96,22 @@ def test_how_late_a_signal_is_is_found_to_a_fraction_of_a_sample(effect, samples
     assert estimate == pytest.approx([1.0, 1.0], abs=6e-3)
 
 
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("signal", ["u", "y"])
+def test_a_lag_may_be_split_in_two(signal, interpolation):
+    h, linear = DT / FINE, interpolation == "linear"
+    fine = h * np.arange((N - 1) * FINE + 1)
+    v = np.interp(fine, TIME, U) if linear else U[np.clip(np.floor(fine / DT + 1e-9).astype(int), 0, N - 1)]
+    expected = first_order(v, h, TAU, linear=linear)
+    for lag in (1.8 * DT, 4.2 * DT):
+        expected = first_order(expected, h, lag, linear=True)
+    values = {f"{signal}.lag": 6.0 * DT, f"{signal}.lag_split": 0.3}
+    shown = campaign(np.zeros(N), interpolation).predict([values])[0][0][0]
+    np.testing.assert_allclose(shown, expected[::FINE], atol=2e-3)
+    single = campaign(np.zeros(N), interpolation).predict([{f"{signal}.lag": 6.0 * DT}])[0][0][0]
+    assert np.abs(shown - single).max() > 0.02
+
+
 @pytest.mark.parametrize("effect", ["u.delay", "u.lag", "y.delay", "y.lag"])
 def test_before_its_first_sample_every_signal_is_settled(effect):
     y = np.full(N, 1.5)
@@ -187,6 +203,8 @@ def test_sensors_that_drift_or_read_others():
     read = disturbed_readings(y, ("a", "b"), effects, TIME, u)
     np.testing.assert_allclose(read[0], y[0] + 0.2 * (TIME - TIME[0]) + 0.1 * U - 0.3 * y[1])
     np.testing.assert_array_equal(read[1], y[1])
+    settled = disturbed_readings(y, ("a", "b"), {"a": {"drift": 0.2, "drift_settling": 4.0}}, TIME, u)
+    np.testing.assert_allclose(settled[0], y[0] + 0.05 * (1.0 - np.exp(-4.0 * (TIME - TIME[0]))))
 
 
 def test_inputs_that_saturate_have_a_dead_zone_or_see_each_other():
@@ -197,6 +215,9 @@ def test_inputs_that_saturate_have_a_dead_zone_or_see_each_other():
     np.testing.assert_allclose(far, np.clip(1e5 * u, -1.0, 1.0))
     dead = disturbed_input(TIME, u, {"dead_zone": 0.5}, linear=True).values
     np.testing.assert_allclose(dead, np.sign(u) * np.maximum(np.abs(u) - 0.5, 0.0))
+    skewed = {"dead_zone": 0.5, "dead_zone_skew": 0.4}
+    moved = disturbed_input(TIME, u, skewed, linear=True).values
+    np.testing.assert_allclose(moved, u - np.clip(u, -0.3, 0.7), atol=1e-12)
     both = disturbed_input(TIME, u, {"crosstalk[v]": 0.1}, linear=True, others={"u": u, "v": U}).values
     np.testing.assert_allclose(both, u + 0.1 * U)
 
@@ -230,6 +251,7 @@ def test_an_input_with_a_limited_rate_has_the_same_integral_as_a_ramp(linear):
         ("lag", "s"),
         ("delay", "s"),
         ("hardness", "1"),
+        ("drift_settling", "1/s"),
     ],
 )
 def test_effects_of_a_signal_have_units(prop, unit):

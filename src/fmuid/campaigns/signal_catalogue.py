@@ -149,13 +149,17 @@ def _signals(
 
 
 class _Size(NamedTuple):
-    """Sizes of a parameter: trials, then neutral, lower, upper and step, in `unit`; a shape if it has a start."""
+    """Sizes of a parameter: trials, then neutral, lower, upper and step, in `unit`; a shape if it has a start.
+
+    The law itself ends at the bounds of a `natural` one.
+    """
 
     name: str
     trials: tuple[float, ...]
     limits: tuple[float, float, float, float]
     unit: str
     shape: bool = False
+    natural: bool = False
 
 
 def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duration: float) -> list[_Size]:
@@ -177,9 +181,10 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
                 (0.01 * size / duration, 0.05 * size / duration),
                 (0.0, -size / duration, size / duration, 1e-3 * size / duration),
                 f"{s.unit}/s",
-            )
+            ),
+            _Size("drift_settling", (), (0.0, -3 / duration, 20 / duration, 0.03 / duration), "1/s", shape=True),
         ],
-        "lag": [late],
+        "lag": [late, _Size("lag_split", (), (0.0, 0.0, 0.45, 0.01), "1", shape=True, natural=True)],
         "delay": [late],
         "saturation": [
             _Size("compression", (0.3 / most, 1 / most, 1.5 / most), (0.0, 0.0, 20 / most, 0.02 / most), per),
@@ -194,7 +199,10 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
                 f"s/({s.unit})",
             )
         ],
-        "dead_zone": [_Size(law, (0.01 * most, 0.05 * most), (0.0, 0.0, most, 1e-3 * most), s.unit)],
+        "dead_zone": [
+            _Size(law, (0.01 * most, 0.05 * most), (0.0, 0.0, most, 1e-3 * most), s.unit),
+            _Size("dead_zone_skew", (), (0.0, -1.0, 1.0, 0.01), "1", shape=True, natural=True),
+        ],
     }  # fmt: skip
     return known[law]
 
@@ -210,9 +218,12 @@ def _effect(signal: str, law: str, description: str, source: str, sizes: Iterabl
         if size.name == "compression":  # an abrupt limit is as plausible as a soft one
             hard = toml_text(f"{signal}.hardness")
             trials += [f"{{ {name} = {x:.4g}, {hard} = {_HARD:g} }}" for x in size.trials[1:]]
+        if size.name == "dead_zone":  # one that is wider to one side also acts as an offset does
+            skew = toml_text(f"{signal}.dead_zone_skew")
+            trials += [f"{{ {name} = {size.trials[-1]:.4g}, {skew} = {k:g} }}" for k in (-0.5, 0.5)]
         rows.append(
             f"{name} = {{ {kind} = {first}, lower = {lower}, upper = {upper}, step = {step}, "
-            f"unit = {toml_text(size.unit)} }}"
+            f"unit = {toml_text(size.unit)}{', natural = true' * size.natural} }}"
         )
     return [
         f"{table}]",

@@ -38,6 +38,7 @@ from fmuid.simulation.coupled.loading import load_model, load_simulator
 from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_and_property
+from fmuid.simulation.signal_model import COMMUTE
 
 FOLDER, EFFECTS = "corrected", "effects.toml"
 _HEAD = """\
@@ -46,7 +47,6 @@ _HEAD = """\
 # Continue from here with identify, validate and diagnose; a second diagnosis looks for what is still missing.
 
 """
-_COMMUTE = ("gain", "lag", "delay")  # effects that commute with the differentiation of a signal after the model
 
 
 @dataclass(frozen=True, slots=True)
@@ -411,7 +411,7 @@ class _Document:
                 continue
             if prop.startswith("crosstalk["):
                 prop = f"crosstalk[{spec.variable(prop[len('crosstalk[') : -1])}]"
-            if spec.differentiates(signal) and prop not in _COMMUTE:
+            if spec.differentiates(signal) and prop not in COMMUTE:
                 self.notes.append(f"{name} is not in the corrected campaign: '{signal}' is differentiated")
                 continue
             at_signals.append(f"{variable}.{prop}")

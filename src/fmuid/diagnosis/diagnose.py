@@ -220,7 +220,9 @@ def diagnose_subject(
     model = subject.model
     nominal, scores, evidence, paths = searched.nominal, searched.scores, searched.evidence, searched.paths
     if searched.best is not None and evidence.present:
-        searched = replace(searched, candidates=[*searched.candidates, *twins(subject, searched.best, scores)])
+        others = twins(subject, searched.best, scores)
+        as_good = decide.best_of([searched.best, *others], observed)
+        searched = replace(searched, candidates=[*searched.candidates, *others], best=as_good)
     classes = decide.merge_equivalent(searched.candidates, nominal, subject.by_id, observed)
     firsts = {id(fitted): group[0] for group in classes for fitted in group}
     candidates = [fitted for fitted in searched.candidates if firsts[id(fitted)] is fitted]
@@ -590,11 +592,16 @@ def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple
     """Return the answers that the data leave open, and whether they are plausible.
 
     An effect at implausible bounds, where a law may imitate another one, does not hide plausible ones that close
-    about as much, or those next to it. What closes nothing of a gap is no answer.
+    about as much, or those next to it. What closes nothing of a gap is no answer, nor is a set with an effect that
+    the others make unnecessary.
     """
 
     def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
-        return tuple(a for a in answers if not decide.strained(a, subject.effects))
+        return tuple(a for a in answers if not decide.strained(a, subject.effects) and needed(a))
+
+    def needed(fitted: Fitted) -> bool:
+        simpler = (c for c in candidates if c.effects and set(c.effects) < set(fitted.effects))
+        return all(decide.worth_adding(c, fitted) for c in simpler)
 
     def closes(fitted: Fitted) -> bool:
         if subject.observed.bounded:

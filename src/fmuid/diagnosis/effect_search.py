@@ -41,7 +41,8 @@ _MOST = 3  # largest number of effects together
 _GAIN = 0.1  # share of the remaining gap that a further effect closes before others are tried with it
 _SHAPE = 0.1  # share of the gap (a hundredth of its energy) that the plant's shape of a law may leave of ours
 _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
-_OF_TIME = ("lag", "delay", "drift")  # properties of a signal that are no shape of a law of its value
+_LATE = ("lag", "delay")  # shapes of one law: how a signal comes late
+_OF_TIME = (*_LATE, "drift")  # properties of a signal that are no shape of a law of its value
 _ALIKE = 0.9  # correlation of signatures above which a law may stand in for another one
 
 _Rest = Callable[[Fitted, str], Fitted | None]
@@ -164,11 +165,11 @@ def _same_place(subject: Subject, after: Fitted, signatures: Mapping[str, FloatA
     """Return whether the newest effect in `after` acts where an earlier one does, or nearly does the same.
 
     Where it acts is its own port, or one that no law present at both ports distinguishes from it. The value of a
-    held parameter acts wherever its component does. A lag, delay or drift of a signal is always a separate effect.
+    held parameter acts wherever its component does. A drift of a signal, and its being late, are separate effects.
     """
     *others, newest = (subject.by_id[id] for id in after.effects)
     if newest.law in _OF_TIME:
-        return False
+        return newest.law in _LATE and any(e.law in _LATE and e.port == newest.port for e in others)
     before = {e.port for e in others}
     if newest.port in before or newest.law == "value":
         return True
@@ -303,10 +304,9 @@ def _moved(
 ) -> Iterator[Fitted]:
     """Yield refits of `best` with one of its laws at another port where it does much the same.
 
-    If `best` leaves a gap, one of its laws may only resemble the plant's, so others that do much the same at its
-    port are tried as well. Sets that are known to fit about as well are left out.
+    A law may only resemble the plant's, so others that do much the same at its port are tried as well. Sets that
+    are known to fit about as well are left out.
     """
-    exact = exact_enough(subject, best)
     good = {frozenset(c.effects) for c in candidates if c.fit.cost <= about(best.fit.cost)}
     by_id = subject.by_id
     signatures = {s.effect: s.signature for s in scores if s.signature is not None}
@@ -315,7 +315,7 @@ def _moved(
         for score in (s for s in scores if s.effect not in best.effects):
             there = signatures.get(score.effect)
             one, other = by_id[name], by_id[score.effect]
-            related = one.law == other.law != "value" or (one.port == other.port and not exact)
+            related = one.law == other.law != "value" or one.port == other.port
             alike = related and before is not None and there is not None and similarity(before, there) > _ALIKE
             if alike and rest | {score.effect} not in good:
                 exchanged = moved(subject, best, {name: score})

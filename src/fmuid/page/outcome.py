@@ -16,7 +16,7 @@ from fmuid.identification.result import Result
 from fmuid.page.workspace import Workspace
 from fmuid.report.figures import Overlay
 from fmuid.report.identification_page import estimates_sentence
-from fmuid.simulation.signal_effects import signal_and_property
+from fmuid.simulation.signal_effects import NEUTRAL, signal_and_property
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def neutral_values(campaign: Campaign) -> dict[str, float]:
         for name in campaign.parameters:
             signal = signal_and_property(name)
             if signal is not None and any(name in e for e in model.signal_effects):
-                values[name] = 1.0 if signal[1] == "gain" else 0.0
+                values[name] = NEUTRAL.get(signal[1], 0.0)
     return values
 
 

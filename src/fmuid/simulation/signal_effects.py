@@ -1,11 +1,13 @@
 """Effects between a model and its signals; they wrap any FMU, even one without source code.
 
-A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s),
-``delay`` (s), ``drift`` (per second of a run), ``dead_zone`` (half its width), ``saturation`` (largest absolute
-value in the signal's unit; 0 for none), ``compression`` (the reciprocal of that value; ``hardness`` determines how
-abruptly it is reached), ``rectification`` (share of its magnitude; 1: the sign is lost), ``play`` (half its width:
-the signal follows only as far as it moves beyond), ``slowness`` (of an input: the reciprocal of its largest rate;
-0 for none), and ``crosstalk[<other>]`` (that share of another signal).
+A parameter named ``<signal>.<property>`` disturbs that signal: ``offset``, ``gain`` (neutral 1), ``lag`` (s, the
+sum of two time constants; ``lag_split`` is the share of the smaller one), ``delay`` (s), ``drift`` (per second of
+a run, at its beginning; ``drift_settling`` is the reciprocal of its time constant, in 1/s, negative for a drift
+that grows faster and faster), ``dead_zone`` (half its width; ``dead_zone_skew`` moves its middle by that share of
+it), ``saturation`` (largest absolute value in the signal's unit; 0 for none), ``compression`` (the reciprocal of
+that value; ``hardness`` determines how abruptly it is reached), ``rectification`` (share of its magnitude; 1: the
+sign is lost), ``play`` (half its width: the signal follows only as far as it moves beyond), ``slowness`` (of an
+input: the reciprocal of its largest rate; 0 for none), and ``crosstalk[<other>]`` (that share of another signal).
 
 Before its first sample, a signal is assumed constant at that sample's value. This holds for delays and lags of
 inputs and outputs.
@@ -31,7 +33,8 @@ from fmuid.simulation.simulator import Task, Variable
 
 NEUTRAL = {
     "offset": 0.0, "gain": 1.0, "lag": 0.0, "delay": 0.0, "saturation": 0.0, "drift": 0.0, "dead_zone": 0.0,
-    "compression": 0.0, "hardness": 4.0, "rectification": 0.0, "play": 0.0, "slowness": 0.0,
+    "compression": 0.0, "hardness": 4.0, "rectification": 0.0, "play": 0.0, "slowness": 0.0, "lag_split": 0.0,
+    "drift_settling": 0.0, "dead_zone_skew": 0.0,
 }  # fmt: skip
 _CROSSTALK = re.compile(r"(?P<signal>.+)\.(?P<property>crosstalk\[(?P<other>.+)\])")
 _APART = 1e-6  # share of the shortest step: points closer to each other are merged
@@ -116,8 +119,23 @@ def disturbed_input(
     edges = time
     if effect.get("delay", 0.0) > 0.0:
         edges, y = np.append(time[0], time + effect["delay"]), np.append(y[0], y)
-    course = Course(edges, y, linear)
-    return _behind(course, _joined(time, edges), effect["lag"]) if effect.get("lag", 0.0) > 0.0 else course
+    course, edges = Course(edges, y, linear), _joined(time, edges)
+    parts = [(share, _behind(course, edges, lag)) for share, lag in _stages(effect)]
+    if len(parts) < 2:
+        return parts[0][1] if parts else course
+    every = np.union1d(parts[0][1].edges, parts[1][1].edges)
+    return Course(every, sum((share * part.on(every) for share, part in parts), np.zeros(len(every))), linear)
+
+
+def _stages(effect: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Return the one or two lags of a signal, each with its share of the response (partial fractions)."""
+    lag, split = effect.get("lag", 0.0), effect.get("lag_split", 0.0)
+    if lag <= 0.0:
+        return []
+    if split <= 0.0:
+        return [(1.0, lag)]
+    larger, smaller = (1.0 - split) * lag, split * lag
+    return [(larger / (larger - smaller), larger), (-smaller / (larger - smaller), smaller)]
 
 
 def _ramped(time: FloatArray, y: FloatArray, rate: float, *, linear: bool) -> FloatArray:
@@ -205,10 +223,10 @@ class Disturbed:
             slope = (out[row, 1] - out[row, 0]) / (self._samples[1] - begin) if differentiated[row] else 0.0
             y = outcome[row] - slope * (self.time - begin)
             at_breaks = y[::width]
-            if effect.get("lag", 0.0) > 0.0:
-                at_breaks = _lagged(
-                    np.diff(self._breaks), *_smooth(self._breaks, y, width), lag=effect["lag"], first=y[0]
-                )
+            if stages := _stages(effect):
+                h, driven = np.diff(self._breaks), _smooth(self._breaks, y, width)
+                lagged = [share * _lagged(h, *driven, lag=lag, first=y[0]) for share, lag in stages]
+                at_breaks = np.sum(lagged, axis=0)
             moved = self._samples - effect.get("delay", 0.0)
             out[row] = np.interp(moved, self._breaks, at_breaks) + slope * (self._samples - begin)
         return out
@@ -295,7 +313,9 @@ def disturbed_readings(
 
 def _added(time: FloatArray, effect: Mapping[str, float], others: Mapping[str, FloatArray]) -> FloatArray:
     """Return the contribution of offset, drift and shares of other signals."""
-    added = effect.get("offset", 0.0) + effect.get("drift", 0.0) * (time - time[0])
+    since, settling = time - time[0], effect.get("drift_settling", 0.0)
+    since = -np.expm1(-settling * since) / settling if settling else since
+    added = effect.get("offset", 0.0) + effect.get("drift", 0.0) * since
     for prop, share in effect.items():
         if prop.startswith("crosstalk[") and (other := prop[len("crosstalk[") : -1]) in others:
             added = added + share * others[other]
@@ -307,7 +327,8 @@ def _limited(y: FloatArray, effect: Mapping[str, float]) -> FloatArray:
     if share := effect.get("rectification", 0.0):
         y = (1.0 - share) * y + share * np.abs(y)
     if width > 0.0:
-        y = y - np.clip(y, -width, width)
+        middle = effect.get("dead_zone_skew", 0.0) * width
+        y = y - np.clip(y, middle - width, middle + width)
     if (play := effect.get("play", 0.0)) > 0.0:
         y = _with_play(y, play)
     if steep > 0.0:

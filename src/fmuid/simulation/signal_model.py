@@ -14,9 +14,12 @@ from fmuid.core.immutable import FloatArray
 from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturbed_task, signal_and_property
 from fmuid.simulation.simulator import Simulator, Task, Variable, Wrapped
 
-_UNITS = {"gain": "1", "hardness": "1", "lag": "s", "delay": "s"}
+_UNITS = {
+    "gain": "1", "hardness": "1", "lag": "s", "delay": "s", "lag_split": "1", "drift_settling": "1/s",
+    "dead_zone_skew": "1",
+}  # fmt: skip
 _IN_UNIT = ("offset", "saturation", "dead_zone", "play")  # values in the signal's unit
-_COMMUTE = ("gain", "lag", "delay")  # effects that commute with differentiating the signal
+COMMUTE = ("gain", "lag", "lag_split", "delay")  # effects that commute with differentiating the signal
 
 
 class SignalModel(Wrapped):
@@ -52,7 +55,7 @@ class SignalModel(Wrapped):
                 asked = name.rpartition(".")[2]
                 fix = suggestion(asked, NEUTRAL) if signal in known else suggestion(signal, known)
                 raise FmuError(f"'{name}' is not an effect of an input or output", where=file, fix=fix)
-            if signal in self._differentiated and prop not in _COMMUTE:
+            if signal in self._differentiated and prop not in COMMUTE:
                 fix = "differentiate it in the model instead"
                 raise FmuError(f"'{signal}' is differentiated after its {prop}", where=file, fix=fix)
             self._of[name] = signal, prop
