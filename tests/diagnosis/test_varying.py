@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path)
     size = diagnosed.corrected.fit.values["G.varies.wind"]
     assert size == pytest.approx(0.05, rel=0.1)
     page = (tmp_path / "out" / "diagnosis.json").read_text()
-    assert "G grows with wind: +" in page
+    assert "G grows with wind by " in page
     assert "% per m/s, from 20" in page
     assert (
         json.loads(page)["corrected_differs"] < 0.05
@@ -119,3 +120,22 @@ def test_the_surroundings_of_a_loss_need_not_be_at_the_start_temperature(tmp_pat
         (name,) = effect.shapes
         assert name.endswith("_surroundings")
         assert name in effect.expression
+
+
+def test_a_law_is_judged_at_the_shape_that_fits(tmp_path):
+    def switched(_value, wind, _time):  # beyond 6.9 m/s, between the trials of the library
+        return 20.0 * (1.0 + 0.3 * (0.5 + 0.5 * np.tanh((wind - 6.9) / 0.3)))
+
+    text = made_catalogue(campaign(tmp_path, switched), load_simulator)
+    effect = next(e for e in tomllib.loads(text)["effects"].items() if e[0] == "varies@G(wind)")[1]
+    assert "tanh" in effect["expression"]
+    assert effect["trials"][0]["G.varies.wind_at"] == pytest.approx(6.9, abs=0.5)
+
+
+def test_a_curved_line_is_no_other_law(tmp_path):
+    def curved(_value, _wind, time):
+        return 20.0 * (1.0 + 0.6 * np.sinh(time / 4800.0))
+
+    text = made_catalogue(campaign(tmp_path, curved), load_simulator)
+    effect = tomllib.loads(text)["effects"]["varies@G(time)"]
+    assert "G.varies.time_bend" in effect["expression"]

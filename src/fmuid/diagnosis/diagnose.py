@@ -42,7 +42,7 @@ from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own
 from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excess, excesses, gap
-from fmuid.diagnosis.scores import Score, hidden, nominal_basis, smallest_seen
+from fmuid.diagnosis.scores import Score, hidden, largest_drop, nominal_basis, smallest_seen
 from fmuid.diagnosis.subject import Subject, tightened, with_states, without_spikes
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
 from fmuid.diagnosis.verdict import (
@@ -497,7 +497,7 @@ def _evidence(subject: Subject, nominal: Fitted, scores: Sequence[Score], noise:
     beyond, count = excesses(nominal.fit.residuals, observed)
     by_experiment = float(np.sqrt(max(0.0, beyond.max())))
     matters = nominal.gap > GAP_THAT_MATTERS or by_experiment > 3 * GAP_THAT_MATTERS
-    largest = max((s.drop for s in scores), default=0.0)
+    largest = largest_drop(scores, subject.by_id)
     p_value = null.p_value(excess(nominal.fit.residuals, observed), largest / decide.SCORE_MARGIN)
     needed = GAP_THAT_MATTERS**2 * float(observed.repeats @ count)
     threshold = max(decide.SCORE_MARGIN * null.threshold(), needed)

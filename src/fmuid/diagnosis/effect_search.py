@@ -26,7 +26,7 @@ from fmuid.diagnosis.candidates import (
 from fmuid.diagnosis.cross_validation import NoiseDraws
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, project_off
 from fmuid.diagnosis.refit import about
-from fmuid.diagnosis.scores import SEEN, Score, alias_classes, nominal_basis, similarity, stack
+from fmuid.diagnosis.scores import SEEN, Score, alias_classes, largest_drop, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject
 
 _SINGLES = 7  # effects refitted on their own
@@ -229,7 +229,7 @@ def _further(
         nominal_basis(best.fit, subject.observed), [s.signature for s in further if s.signature is not None]
     )
     left = null.p_value(excess(best.fit.residuals, subject.observed))
-    largest = max((s.drop for s in further), default=0.0)
+    largest = largest_drop(further, subject.by_id)
     return further, left >= decide.SIGNIFICANCE and largest <= decide.SCORE_MARGIN * null.threshold()
 
 

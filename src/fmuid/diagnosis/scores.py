@@ -299,6 +299,14 @@ def hidden(scores: Sequence[Score]) -> Hidden:
     return Hidden(unseen, tuple(name for name in lost if name not in unseen))
 
 
+def largest_drop(scores: Sequence[Score], effects: Mapping[str, Effect]) -> float:
+    """Return the largest score, comparable with that of one effect under noise.
+
+    The best of n laws, chosen with these measurements, exceeds noise by 2 ln n more (Bonferroni).
+    """
+    return max((s.drop - 2.0 * float(np.log(effects[s.effect].among)) for s in scores), default=0.0)
+
+
 def _every(scores: Sequence[Score]) -> Iterator[Score]:
     """Yield the scores, each followed by those of the effects that it stands for."""
     return (every for first in scores for every in (first, *first.same))

@@ -137,14 +137,14 @@ def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_
     ModelicaError
         A term is wrong by itself: it names what does not exist, or is not Modelica.
     """
-    instrumented = instrument(flat, *_together((*before, *additions)))
     try:
-        compile_flat(instrumented)
+        compile_flat(instrument(flat, *_together((*before, *additions))))
     except ModelicaError as error:
         fewer = _without_input(additions, error)
         if len(fewer) < len(additions):
             return _fitting(flat, fewer, before)
         if len(additions) <= 1:
+            instrument(flat, *_together(additions))
             return []
     else:
         return [*additions]
@@ -181,7 +181,7 @@ class Variants:
     """Models with effects that change the model even while they are off, built when one is first tried.
 
     Effects that have states or are part of algebraic loops share a model, in which those that are off stand still.
-    Effects that cut connections get a model of their own.
+    Effects that cut connections, or that the shared model cannot be built with, get a model of their own.
 
     Attributes
     ----------
@@ -216,17 +216,19 @@ class Variants:
         if not on or setup not in self.models:
             return None
         uncut = any(e.acts != "cut" for e in on)
-        tried = frozenset(e.id for e in self._effects if e in on or (uncut and e.acts != "cut"))
-        if (setup, tried) not in self._loaded:
-            model = self.models[setup]
-            assert model.source is not None
-            file = _built(model.source, flat_model(model.source), self.catalogue, tried)
-            self._loaded[setup, tried] = self.load(replace(model, fmu=file))
-        built = self._loaded[setup, tried]
-        for effect in on:
-            if any(u.name not in built.variables for u in effect.unknowns):
-                raise SimulationError(f"the model cannot be built with '{effect.id}'", where=setup)
-        return built
+        shared = frozenset(e.id for e in self._effects if e in on or (uncut and e.acts != "cut"))
+        alone = frozenset(e.id for e in on)  # where others change the equation in which a coefficient varies
+        for tried in dict.fromkeys((shared, alone)):
+            if (setup, tried) not in self._loaded:
+                model = self.models[setup]
+                assert model.source is not None
+                file = _built(model.source, flat_model(model.source), self.catalogue, tried)
+                self._loaded[setup, tried] = self.load(replace(model, fmu=file))
+            built = self._loaded[setup, tried]
+            lacking = [e.id for e in on if any(u.name not in built.variables for u in e.unknowns)]
+            if not lacking:
+                return built
+        raise SimulationError(f"the model cannot be built with '{lacking[0]}'", where=setup)
 
 
 def _is_on(effect: Effect, values: Mapping[str, float]) -> bool:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
+import msgspec
 import numpy as np
 
 from fmu_build import compile_flat
@@ -26,7 +28,7 @@ from fmuid.data.filtering import first_order
 from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap, project_off
 from fmuid.diagnosis.refit import Refit
-from fmuid.diagnosis.scores import nominal_basis, stack
+from fmuid.diagnosis.scores import SEEN, nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
 from fmuid.effects.effect import Effect
@@ -43,8 +45,12 @@ _ALIKE = 1e-4  # courses whose correlation is within this of 1 are the same
 _MOVES = 1e-3  # relative to its size: what moves less counts as constant
 _FEW = 8  # states: in a model with more, only those near a component may change it
 _ABOUT_ONE = (0.7, 1.4)  # factors by which the size of a law may change that is not linear in it
-_SIMPLER = 0.03  # share of the score that a later law of the library has to gain over an earlier one
+_CLOSES = 0.2  # share of what a law leaves beyond the noise that a later one has to explain: a tenth of the gap
 _MARGIN = 1.2  # over the largest score that noise alone reaches
+_ROUNDS = 8  # of the search for a law's shape
+_PART = 0.125  # first steps of that search, as a share of what is possible
+_INSIDE = 0.01  # share of what is possible that the search stays away from a bound
+_STRAIGHT = 0.02  # of its change: a course that is this near to its chord is a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,12 +113,17 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """A law for a coefficient over a source, with the fall of the cost that it promises."""
+    """A law for a coefficient over a source, with the fall of the cost that it promises at values of a trial.
+
+    `change` is the largest relative change of the coefficient at the size that fits.
+    """
 
     coefficient: Coefficient
     source: Source
     name: str
+    trial: Mapping[str, float]
     drop: float
+    change: float
     signature: FloatArray
 
     @property
@@ -192,7 +203,7 @@ def varying_lines(
         lines += [f"[ports.{toml_text(name)}]", f"description = {toml_text(f'Value of {name}')}"]
         lines += [f"unit = {toml_text(unit)}", ""]
     for one in chosen:
-        source, law = one.source, one.law
+        source, law = one.source, _from(one)
         port = Port(one.coefficient.name, "parameter", "parameter", (), (source.unit, one.coefficient.unit), {})  # type: ignore[arg-type]
         usual = source.near or source.name in _measured(subject)
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
@@ -200,6 +211,14 @@ def varying_lines(
         over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs, among)
         lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
     return lines
+
+
+def _from(one: Scored) -> Law:
+    """Return a law that is tried at the shape that explained most, first of all."""
+    shape = {key: repr(one.trial[key]) for key in one.law.parameters}
+    sizes = dict.fromkeys(t["size"] for t in one.law.trials or ())
+    others = [{**shape, "size": size} for size in sizes] if _linear(one.law) else one.law.trials or []
+    return msgspec.structs.replace(one.law, trials=[shape, *others])
 
 
 def scored(
@@ -216,14 +235,15 @@ def scored(
     among = 0
     for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
         having = [setup for setup in setups if name in setup.coefficients]
-        best: dict[str, Scored] = {}
+        by_over: dict[str, list[Scored]] = {}
         for source in _sources(subject, campaign, having, name):
             for one in _of(subject, having, source, name, basis=basis, residual=residual):
-                kept = best.get(one.over)
-                if kept is None or one.drop > (1.0 + _SIMPLER) * kept.drop:
-                    best[one.over] = one
-        among += len(best)
-        best_scored += sorted(best.values(), key=lambda s: -s.drop)[:_EACH]
+                by_over.setdefault(one.over, []).append(one)
+        among += sum(map(len, by_over.values()))
+        likely = sorted(by_over.values(), key=lambda every: -max(s.drop for s in every))[:_EACH]
+        for every in likely:
+            shaped = [_shaped(subject, having, one, basis=basis, residual=residual) for one in every]
+            best_scored.append(_simplest(shaped, float(residual @ residual) - residual.size))
     best_scored = sorted(best_scored, key=lambda s: -s.drop)[: 3 * _MOST]
     if not best_scored:
         return [], among
@@ -353,34 +373,101 @@ def _of(
 ) -> Iterator[Scored]:
     """Yield the laws of a coefficient over a source, each with the best of its trials."""
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
-    tried: list[tuple[str, Law]] = []
+    tried = [(n, t) for n, law in laws().items() if _suits(law, source) for t in _trials(law, source, duration)]
+    best: dict[str, Scored] = {}
+    for one in _at(subject, having, source, name, tried, basis=basis, residual=residual):
+        if one.name not in best or one.drop > best[one.name].drop:
+            best[one.name] = one
+    yield from best.values()
+
+
+def _at(
+    subject: Subject,
+    having: Sequence[_Setup],
+    source: Source,
+    name: str,
+    tried: Sequence[tuple[str, Mapping[str, float]]],
+    *,
+    basis: FloatArray,
+    residual: FloatArray,
+) -> Iterator[Scored]:
+    """Yield the laws of a coefficient over a source at values of trials; what cannot be evaluated is left out."""
+    kept: list[tuple[str, Mapping[str, float]]] = []
     rows: list[tuple[FloatArray, ...]] = []
     time = [subject.model.cases[k].time for s in having for k in s.index]
-    for law_name, law in laws().items():
-        if not _suits(law, source):
-            continue
-        for trial in _trials(law, source, duration):
-            changes = [_change(law, x, t, trial) for x, t in zip(source.courses, time, strict=True)]
-            if all(np.isfinite(c).all() for c in changes) and any(np.ptp(c) > 0.0 for c in changes):
-                tried.append((law_name, law))
-                rows.append(tuple(changes))
+    for law_name, trial in tried:
+        changes = [_change(laws()[law_name], x, t, trial) for x, t in zip(source.courses, time, strict=True)]
+        if all(np.isfinite(c).all() for c in changes) and any(np.ptp(c) > 0.0 for c in changes):
+            kept.append((law_name, trial))
+            rows.append(tuple(changes))
     if not rows:
         return
     moved = _moved(subject, having, name, [np.array(one) for one in zip(*rows, strict=True)])
     signatures = project_off(moved.T, basis).T
     lengths = np.linalg.norm(signatures, axis=1)
-    best: dict[str, Scored] = {}
-    for (law_name, law), whole, signature, length in zip(tried, moved, signatures, lengths, strict=True):
+    for (law_name, trial), row, whole, signature, length in zip(
+        kept, rows, moved, signatures, lengths, strict=True
+    ):
         if not length > 1e-3 * float(np.linalg.norm(whole)):
             continue
+        law = laws()[law_name]
         amount = -float(signature @ residual) / length
         drop = amount**2 if amount > 0.0 or law.two_sided else 0.0
+        fitting = float(amount / length)
         if not _linear(law):  # another size is another shape
-            fitting = float(np.clip(amount / length, *_ABOUT_ONE))
+            fitting = float(np.clip(fitting, *_ABOUT_ONE))
             drop = float(length) ** 2 * fitting * (2.0 * amount / float(length) - fitting)
-        if law_name not in best or drop > best[law_name].drop:
-            best[law_name] = Scored(having[0].coefficients[name], source, law_name, drop, signature / length)
-    yield from best.values()
+        change = abs(fitting) * max(float(np.abs(c).max()) for c in row)
+        yield Scored(having[0].coefficients[name], source, law_name, trial, drop, change, signature / length)
+
+
+def _shaped(
+    subject: Subject, having: Sequence[_Setup], one: Scored, *, basis: FloatArray, residual: FloatArray
+) -> Scored:
+    """Return a law at the shape that explains most; a few trials would be compared instead of the laws.
+
+    A pattern search, on a logarithmic scale for values that are positive.
+    """
+    known = {k: v for k, v in one.trial.items() if k not in one.law.parameters}
+    bounds = {
+        key: (parse(p.least)(known), parse(p.most)(known))
+        for key, p in one.law.parameters.items()
+        if key != "size" or not _linear(one.law)
+    }
+    part = _PART
+    for _ in range(_ROUNDS if bounds else 0):
+        around = product(
+            *([_further(one.trial[k], s * part, *ends) for s in (-1, 0, 1)] for k, ends in bounds.items())
+        )
+        tried = [(one.name, {**one.trial, **dict(zip(bounds, values, strict=True))}) for values in around]
+        near = list(_at(subject, having, one.source, one.coefficient.name, tried, basis=basis, residual=residual))
+        best = max(near, key=lambda s: s.drop, default=one)
+        if best.drop > one.drop:
+            one = best
+        else:
+            part *= 0.5
+    return one
+
+
+def _further(value: float, step: float, least: float, most: float) -> float:
+    """Return a value moved by a share of what is possible, and not to a bound, where no shape is plausible."""
+    at, low, high = np.log([value, least, most]) if least > 0.0 else (value, least, most)
+    margin = _INSIDE * (high - low)
+    moved = float(np.clip(at + step * (high - low), low + margin, high - margin))
+    return float(np.exp(moved)) if least > 0.0 else moved
+
+
+def _simplest(scored: Sequence[Scored], beyond: float) -> Scored:
+    """Return the first law of the library that leaves hardly more than later ones of what is beyond the noise.
+
+    The response to a change c differs from its linear part by about c/2 of that: by so much laws have to differ.
+    """
+    best = scored[0]
+    for one in scored[1:]:
+        left = max(beyond - best.drop, 0.0)
+        if one.drop > best.drop + max(_CLOSES * left, SEEN**2, (0.5 * one.change) ** 2 * one.drop):
+            best = one
+    return best
 
 
 def _suits(law: Law, source: Source) -> bool:
@@ -460,7 +547,7 @@ class Course:
     x, y
         (N,) values over the range that the runs reach.
     slope
-        Relative change per unit of `x` of a dependence that is a line, else None.
+        Relative change per unit of `x` of a dependence that is nearly a line, else None.
     """
 
     name: str
@@ -475,12 +562,13 @@ class Course:
         """Return it in words and numbers."""
         ends = self.y[0], self.y[-1]
         moves = "grows" if ends[1] > ends[0] else "falls"
+        over = "over time" if self.over == TIME else f"with {self.over}"
         unit = "" if self.over_unit == "1" else f" {self.over_unit}"
         of_unit = "" if self.unit == "1" else f" {self.unit}"
-        rate = "" if self.slope is None else f"{100.0 * self.slope:+.3g} % per{unit or ' unit'}, "
+        rate = "" if self.slope is None else f" by {100.0 * abs(self.slope):.3g} % per{unit or ' unit'}"
         return (
-            f"{self.name} {moves} with {self.over}: {rate}from {ends[0]:.3g} to {ends[1]:.3g}{of_unit} "
-            f"over {self.x[0]:.3g} to {self.x[-1]:.3g}{unit}"
+            f"{self.name} {moves} {over}{rate}, from {ends[0]:.3g} to {ends[1]:.3g}{of_unit} "
+            f"between {self.x[0]:.3g} and {self.x[-1]:.3g}{unit}"
         )
 
 
@@ -505,10 +593,11 @@ def course_of(subject: Subject, effect: Effect, values: Mapping[str, float]) -> 
     x = np.linspace(min(float(r.min()) for r in reached), max(float(r.max()) for r in reached), 200)
     columns = {n: np.full(len(x), v) for n, v in {"p": p or 0.0, **sizes}.items()} | {source: x}
     y = formula.of_samples({n: columns[n] for n in formula.names})
-    sized = len(sizes) == 1 and effect.expression.startswith("p*(1 + ") and "abs(" not in effect.expression
+    chord = y[0] + (y[-1] - y[0]) * (x - x[0]) / (x[-1] - x[0])
+    straight = float(np.abs(y - chord).max()) <= _STRAIGHT * abs(float(y[-1] - y[0]))
     over = effect.id.rpartition("(")[2].rstrip(")")
     variable = case.simulator.variables.get(source)
     unit = "s" if source == TIME else effect.inputs.get(source) or (variable.unit if variable else None) or "1"
     declared = case.simulator.variables[parameter].unit or "1"
-    slope = next(iter(sizes.values())) if sized else None
+    slope = float((y[-1] - y[0]) / (x[-1] - x[0]) / p) if straight and p else None
     return Course(effect.port, declared, over, unit, x, y, slope)
