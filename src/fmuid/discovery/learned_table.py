@@ -48,6 +48,7 @@ _KNOTS_OF_TWO = ((3, 3), (5, 3), (3, 5), (5, 5))  # of a table over two: no more
 _PLACES = 2  # places examined: those where a course over time is likeliest
 _PAIRED = 3  # variables at a place from which pairs are made: those that predict best alone
 _BUILT = 2  # variables whose tables are built into the model: those that predict best as driven inputs
+_GAIN = 0.1  # share of what is left that the best table has to close before other sizes of it are tried
 _STEPS = 1  # of refits without an experiment, after the linear one: tables are linear in their values
 _COARSE = 0.01  # share of the cost that an iteration of a refit has to gain
 _INTERVAL = 1.645  # standard errors: 90 %
@@ -268,17 +269,17 @@ class _Search:
 
         One size of each table is built. If the best one is over one variable, it is refitted in all sizes, and the
         size that predicts best remains. A table is linear in its values, so linear steps compare tables; the one
-        that remains is refitted without each experiment.
+        that remains is refitted without each experiment. None if the best one closes next to nothing.
         """
         sizes: dict[tuple[str, ...], list[_Proposed]] = {}
         for p in proposed:
             sizes.setdefault((p.spot.port.name, *(q.name for q in p.over)), []).append(p)
         best = sorted(map(_simplest, sizes.values()), key=lambda p: p.held_out.mean)[:_BUILT]
-        built = self._fitted([p for p in best if advantage(p.held_out, self.base.held_out)[0] > 0.0])
-        if not built:
+        better = [p for p in best if advantage(p.held_out, self.base.held_out)[0] > 0.0]
+        built = self._fitted(better, self.base.fit.values)
+        if not built or closure(self.base, (first := _simplest(built)).fitted) < _GAIN:
             return None
-        first = _simplest(built)
-        last = _simplest([first, *self._fitted(self._resized(first))])
+        last = _simplest([first, *self._fitted(self._resized(first), first.fitted.fit.values)])
         acting = [last.subject.by_id[id] for id in last.fitted.effects]
         return replace(last, fitted=leaving_out(last.subject, acting, last.fitted.fit, chords=_STEPS))
 
@@ -316,8 +317,11 @@ class _Search:
         ways = {way: isotonic_regression(values, weights=seen, increasing=way > 0).x for way in (1, -1)}
         return min(ways.items(), key=lambda item: float(seen @ (item[1] - values) ** 2))
 
-    def _fitted(self, proposed: Sequence[_Proposed]) -> list[_Built]:
-        """Put tables into the model, each while the others are off, and refit each with all parameters."""
+    def _fitted(self, proposed: Sequence[_Proposed], begin: Mapping[str, float]) -> list[_Built]:
+        """Put tables into the model, each while the others are off, and refit each with all parameters.
+
+        These begin at the values `begin`, which may be those of the model with another table in their place.
+        """
         if not proposed:
             return []
         subject = self.outcome.subject
@@ -328,7 +332,7 @@ class _Search:
             for k, (law, p) in enumerate(zip(laws, proposed, strict=True))
         ]
         subject = with_laws(subject, self.models, self.load, effects, self.base.effects)
-        begin = self.base.fit.values
+        begin = {n: v for n, v in begin.items() if n in self.base.fit.values}
         starts = [
             {**begin, **dict(zip(law.sizes, p.sizes, strict=True))} for law, p in zip(laws, proposed, strict=True)
         ]
