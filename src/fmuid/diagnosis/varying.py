@@ -231,7 +231,7 @@ def scored(
     setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
     basis, residual = nominal_basis(nominal, observed), stack(nominal.residuals, observed)
-    best_scored: list[Scored] = []
+    pairs: list[tuple[list[_Setup], list[Scored]]] = []
     among = 0
     for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
         having = [setup for setup in setups if name in setup.coefficients]
@@ -240,13 +240,18 @@ def scored(
             for one in _of(subject, having, source, name, basis=basis, residual=residual):
                 by_over.setdefault(one.over, []).append(one)
         among += sum(map(len, by_over.values()))
-        likely = sorted(by_over.values(), key=lambda every: -max(s.drop for s in every))[:_EACH]
-        for every in likely:
-            shaped = [_shaped(subject, having, one, basis=basis, residual=residual) for one in every]
-            best_scored.append(_simplest(shaped, float(residual @ residual) - residual.size))
-    best_scored = sorted(best_scored, key=lambda s: -s.drop)[: 3 * _MOST]
-    if not best_scored:
+        pairs += [(having, every) for every in sorted(by_over.values(), key=_largest, reverse=True)[:_EACH]]
+    if not pairs:
         return [], among
+    pairs.sort(key=lambda pair: -_largest(pair[1]))
+    least = 0.5 * _SHARE * _largest(pairs[0][1])
+    beyond = float(residual @ residual) - residual.size
+    best_scored = []
+    for having, every in (pair for pair in pairs[: 2 * _MOST] if _largest(pair[1]) >= least):
+        by_source = [[s for s in every if s.source is source] for source in dict.fromkeys(s.source for s in every)]
+        shaped = [s for of in by_source for s in _shaped(subject, having, of, basis=basis, residual=residual)]
+        best_scored.append(_simplest(shaped, beyond))
+    best_scored.sort(key=lambda s: -s.drop)
     (prediction,) = subject.model.predict([nominal.values])
     assert not isinstance(prediction, SimulationError)
     null = draw_noise(observed, prediction).null(basis, [s.signature for s in best_scored])
@@ -421,32 +426,47 @@ def _at(
         yield Scored(having[0].coefficients[name], source, law_name, trial, drop, change, signature / length)
 
 
+def _largest(scored: Sequence[Scored]) -> float:
+    return max(s.drop for s in scored)
+
+
 def _shaped(
-    subject: Subject, having: Sequence[_Setup], one: Scored, *, basis: FloatArray, residual: FloatArray
-) -> Scored:
-    """Return a law at the shape that explains most; a few trials would be compared instead of the laws.
+    subject: Subject, having: Sequence[_Setup], every: Sequence[Scored], *, basis: FloatArray, residual: FloatArray
+) -> list[Scored]:
+    """Return laws over one source at the shapes that explain most; else trials would be compared instead of laws.
 
     A pattern search, on a logarithmic scale for values that are positive.
     """
+    best, part = {one.name: one for one in every}, {one.name: _PART for one in every}
+    bounds = {one.name: _bounds(one) for one in every}
+    for _ in range(_ROUNDS):
+        tried = [
+            (name, {**one.trial, **dict(zip(bounds[name], values, strict=True))})
+            for name, one in best.items()
+            for values in product(
+                *(
+                    [_further(one.trial[k], s * part[name], *e) for s in (-1, 0, 1)]
+                    for k, e in bounds[name].items()
+                )
+            )
+            if bounds[name]
+        ]
+        before = dict(best)
+        coefficient = every[0].coefficient.name
+        for one in _at(subject, having, every[0].source, coefficient, tried, basis=basis, residual=residual):
+            best[one.name] = one if one.drop > best[one.name].drop else best[one.name]
+        part = {name: part[name] if best[name] is not before[name] else 0.5 * part[name] for name in best}
+    return [*best.values()]
+
+
+def _bounds(one: Scored) -> dict[str, tuple[float, float]]:
+    """Return the bounds of what determines a law's shape."""
     known = {k: v for k, v in one.trial.items() if k not in one.law.parameters}
-    bounds = {
+    return {
         key: (parse(p.least)(known), parse(p.most)(known))
         for key, p in one.law.parameters.items()
         if key != "size" or not _linear(one.law)
     }
-    part = _PART
-    for _ in range(_ROUNDS if bounds else 0):
-        around = product(
-            *([_further(one.trial[k], s * part, *ends) for s in (-1, 0, 1)] for k, ends in bounds.items())
-        )
-        tried = [(one.name, {**one.trial, **dict(zip(bounds, values, strict=True))}) for values in around]
-        near = list(_at(subject, having, one.source, one.coefficient.name, tried, basis=basis, residual=residual))
-        best = max(near, key=lambda s: s.drop, default=one)
-        if best.drop > one.drop:
-            one = best
-        else:
-            part *= 0.5
-    return one
 
 
 def _further(value: float, step: float, least: float, most: float) -> float:
