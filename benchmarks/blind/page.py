@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,20 +18,17 @@ from benchmarks.timing import table
 _INTRODUCTION = """\
 # The blind check
 
-How often a diagnosis is right on random rigs. Rigs are drawn at random from a grammar:
-networks of 2 to 8 components in one or two domains, with parameters, inputs, sensors, rates and noise. Each has
-a plain Modelica model, half of them with components and half as equations, and a plant by nodal assembly in C
-that shares nothing with the program. Plants differ from their models by parameters up to a fifth off, by a
-background of three to six small effects, and by what is asked for: nothing, one or two effects of the
-catalogue's kinds in shapes that are not the catalogue's, a coefficient that varies, something that no catalogue
-has, or an effect in one operating regime only. Logs are as they come: six of ten are single runs; some start in
-motion, run in a closed loop, have the timing of a PLC or columns that nothing uses; one file in twenty is damaged.
-Rigs are light (120 to 200 samples a run): 400 cases have to end within three hours on two cores.
+How often a diagnosis is right on random rigs. A grammar draws networks of 2 to 8 components in one or two
+domains, with parameters, inputs, sensors, rates and noise. Each has a plain Modelica model, half of them with
+components and half as equations, and a plant by nodal assembly in C that shares nothing with the program. A plant
+has parameters up to a fifth off, a background of three to six small effects, and what is asked for: nothing, one
+or two effects in shapes that are not the catalogue's, a coefficient that varies, something that no catalogue has,
+or an effect in one operating regime only. Six of ten logs are single runs; some start in motion, run in a closed
+loop, have the timing of a PLC or columns that nothing uses; one file in twenty is damaged.
 
 `fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
-whole, in `benchmarks/blind/published/<seed>/`: version of the grammar, labels, answers, SHA-256 of every log.
-The first {rehearsal} cases of a seed are a rehearsal, whose labels may be read while rules change; the next
-{check} are the check.
+whole, in `benchmarks/blind/published/<seed>/`: labels, answers, SHA-256 of every log. Labels of the first
+{rehearsal} cases may be read while rules change; the next {check} are the check.
 
     make blind SEED=...  # draw and diagnose
     make blind-verify    # recompute this page from what is committed, and logs and labels from their seeds
@@ -41,7 +38,7 @@ Before any diagnosis, 50 random rigs were compared with their models: `make blin
 
 A gap is in noise floors of a sample after a refit of all parameters. Sizes are drawn by quick refits; the label
 then says what refits to the end leave (`measured.jsonl`). An effect that leaves less than a floor is one of the
-background; the last column has the figures with labels as drawn. Effects that a case's runs cannot tell
+background. Figures with labels as drawn are with the cases. Effects that a case's runs cannot tell
 apart (less than 3 standard deviations over all runs, by the plant) count as one, coefficients that vary included;
 a drag is a damper that grows with speed. A model whose gap is below its tolerance, one floor, is complete. The
 background's effects may be named, and what the runs cannot tell from one of them that is visible itself. Intervals
@@ -52,8 +49,6 @@ _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems,
 by the definitions of its abstract: whether a discrepancy is seen; F1 of the samples in the regimes that are named;
 the relative error of the parameters that the runs determine; whether the law is named."""
-
-
 CASES = "cases.md"
 
 
@@ -100,13 +95,9 @@ def read_published(folder: Path) -> list[Seed]:
 
 def page(seeds: Sequence[Seed]) -> str:
     """Return the Markdown page about published seeds."""
-    parts = [_INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)]
-    for seed in seeds:
-        parts += [_section(seed, grid) for grid in _grids(seed)]
-    if len(parts) == 1:
-        parts.append("No seed has been published yet.\n")
-    parts.append("Next: [how good it is](quality.md).\n")
-    return "\n".join(parts)
+    *earlier, newest = [grid for seed in seeds for grid in _grids(seed)]
+    introduction = _INTRODUCTION.format(rehearsal=REHEARSAL, check=CHECK)
+    return "\n".join([introduction, _section(newest, earlier), "Next: [how good it is](quality.md).\n"])
 
 
 def case_by_case(seed: Seed) -> str:
@@ -114,8 +105,9 @@ def case_by_case(seed: Seed) -> str:
     parts = [f"# Seed {seed.seed}, case by case\n"]
     for grid in _grids(seed):
         cases = grid.cases
-        others = [f for f in figures(cases) if f.lower is None and f.upper is None]
-        parts += [f"## {grid.title}\n", "### Figures without an aim\n", _aims(others)]
+        aimed, others = _with_aims(figures(cases))
+        parts += [f"## {grid.title}\n", grid.told + "\n", _aims(aimed, {"as drawn": figures(grid.drawn)})]
+        parts += ["### Figures without an aim\n", _aims(others)]
         parts += ["### By stratum, repeats, noise and rig\n", _shares(cases)]
         parts += ["### Every case that is not right\n", _misses(cases)]
     return "\n".join(parts)
@@ -125,32 +117,44 @@ def case_by_case(seed: Seed) -> str:
 class _Grid:
     """Cases of a seed, `count` when all are diagnosed, with labels as measured and as drawn."""
 
+    seed: Seed
     title: str
     count: int
     cases: list[Scored]
     drawn: list[Scored]
 
+    @property
+    def told(self) -> str:
+        """What was diagnosed, by which commit."""
+        many, rigs = len(self.cases), len({c.label["rig"] for c in self.cases})
+        part = f"The first {many} of {self.count} cases" if many < self.count else f"{many} cases"
+        told = self.seed.told
+        return f"{part}, on {rigs} rigs, diagnosed by commit `{told['commit'][:10]}`, grammar {told['grammar']}."
+
 
 def _grids(seed: Seed) -> list[_Grid]:
-    grids = (("the check", REHEARSAL, CHECK), ("a rehearsal", 0, REHEARSAL))
-    every = (
-        _Grid(f"Seed {seed.seed}: {title}", count, seed.cases(n, n + count), seed.cases(n, n + count, drawn=True))
-        for title, n, count in grids
-    )
-    return [grid for grid in every if grid.cases]
+    every = []
+    for title, n, count in (("a rehearsal", 0, REHEARSAL), ("the check", REHEARSAL, CHECK)):
+        cases, drawn = (seed.cases(n, n + count, drawn=as_drawn) for as_drawn in (False, True))
+        every += [_Grid(seed, f"Seed {seed.seed}: {title}", count, cases, drawn)] if cases else []
+    return every
 
 
-def _section(seed: Seed, grid: _Grid) -> str:
-    cases, count = grid.cases, grid.count
-    part = f"The first {len(cases)} of {count} cases," if len(cases) < count else f"{count} cases"
-    rigs = len({c.label["rig"] for c in cases})
+def _with_aims(every: Sequence[Figure]) -> tuple[list[Figure], list[Figure]]:
+    """Return the figures that have an aim, and the others."""
+    aimed = [f for f in every if f.lower is not None or f.upper is not None]
+    return aimed, [f for f in every if f not in aimed]
+
+
+def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
+    cases = grid.cases
     lines = [
         f"## {grid.title}",
         "",
-        f"{part} on {rigs} rigs, diagnosed by commit `{seed.told['commit'][:10]}`, grammar"
-        f" {seed.told['grammar']}.",
+        grid.told,
+        *(f"Before, {one.title[0].lower()}{one.title[1:]}. {one.told}" for one in earlier),
         "",
-        _aims([f for f in figures(cases) if f.lower is not None or f.upper is not None], figures(grid.drawn)),
+        _aims(_with_aims(figures(cases))[0], {f"seed {one.seed.seed}": figures(one.cases) for one in earlier}),
         "### Effects in one regime only",
         "",
         _REGIMES,
@@ -162,7 +166,7 @@ def _section(seed: Seed, grid: _Grid) -> str:
         "",
         "### What went wrong",
         "",
-        f"Every case, and figures without an aim: `benchmarks/blind/published/{seed.seed}/{CASES}`.",
+        f"Every case, and figures without an aim: `benchmarks/blind/published/<seed>/{CASES}`.",
         "",
         _kinds_of_misses(cases),
     ]
@@ -188,21 +192,20 @@ def number(value: float | None) -> str:
     return f"{value:.{3 if 0 < abs(value) < 0.01 else 2 if abs(value) < 10 else 0}f}"
 
 
-def _aims(every: Sequence[Figure], drawn: Sequence[Figure] = ()) -> str:
+def _aims(every: Sequence[Figure], beside: Mapping[str, Sequence[Figure]] | None = None) -> str:
     def bounds(pair: tuple[float, float] | None) -> str:
         return "" if pair is None else f"{pair[0]:.2f} to {pair[1]:.2f}"
 
     rows = []
-    as_drawn = {f.name: f.value for f in drawn}
+    others = {title: {f.name: f.value for f in of_it} for title, of_it in (beside or {}).items()}
     for f in every:
         aim = f"{f.lower:g} to {f.upper:g}" if f.lower is not None and f.upper is not None else ""
         aim = aim or (f"≥ {f.lower:g}" if f.lower is not None else f"≤ {f.upper:g}" if f.upper is not None else "")
         met = {True: "yes", False: "no", None: ""}[f.met]
         intervals = [bounds(f.interval), bounds(f.new_rig)]
-        before = [number(as_drawn[f.name])] if drawn else []
-        rows.append([f.name, aim, number(f.value), *intervals, str(f.cases), str(f.rigs or ""), met, *before])
-    columns = ["figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met"]
-    return table([*columns, *(["as drawn"] if drawn else [])], rows) + "\n"
+        compared = [number(of_it.get(f.name)) for of_it in others.values()]
+        rows.append([f.name, aim, number(f.value), *intervals, str(f.cases), str(f.rigs or ""), met, *compared])
+    return table(["figure", "aim", "value", "90 %", "a new rig", "cases", "rigs", "met", *others], rows) + "\n"
 
 
 def _shares(cases: Sequence[Scored]) -> str:

@@ -119,17 +119,20 @@ class Scored:
     @property
     def right(self) -> bool:
         """Whether the verdict is exactly right."""
-        truths, stratum = self.label["effects"], self.label["stratum"]
+        stratum = self.label["stratum"]
         if self.kind == "complete":  # so is a model to its tolerance, a noise floor
             return float(self.label["gap"]) < 1.0
         if stratum == "none":
             return False
         if stratum == "unknown" and self.kind == "unknown":
             return True
-        return self.kind in _NAMING and all(
-            all(any(self.is_a(n, truth) for n in s) for truth in truths) and not self._foreign(s)
-            for s in self.sets
-        )
+        return self.kind in _NAMING and all(map(self._true, self.sets))
+
+    def _true(self, names: set[str]) -> bool:
+        """Return whether a set has the truth, and otherwise nothing but the background."""
+        truths = self.label["effects"]
+        whole = all(any(self.is_a(n, truth) for n in names) for truth in truths)
+        return bool(truths) and whole and not self._foreign(names)
 
     def _foreign(self, names: set[str]) -> set[str]:
         truths = self.label["effects"]
@@ -168,11 +171,7 @@ class Scored:
                 names == {"unknown"} and self.label["stratum"] == "unknown"
             )
         else:
-            true = (
-                bool(truths)
-                and all(any(self.is_a(n, x) for n in names) for x in truths)
-                and not self._foreign(names)
-            )
+            true = self._true(names)
         return float(best["probability"] or 0.0), bool(true)
 
     @property
@@ -186,6 +185,9 @@ class Scored:
             for a in self.answer["answers"]
             if {canonical(n) for n in a["effects"]} in open_
         )
+        if self.kind in _NAMING:  # that one of its sets is true; of a partial verdict, as far as it goes
+            part = self.kind == "partial"
+            return weight, any(not self._foreign(s) if part else self._true(s) for s in self.sets)
         return weight, self.right if self.kind != "insufficient" else self.label["stratum"] == "none"
 
     @property

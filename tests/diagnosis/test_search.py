@@ -320,6 +320,9 @@ def test_what_a_further_law_at_the_same_place_adds_to_a_nearly_closed_gap_is_the
     first, lag = late.effects
     late = replace(late, effects=(first, replace(lag, law="lag")))
     assert set(diagnose_subject(late).diagnosis.verdict.effects) == {"first", "y.lag"}
+    # But it is one of the shapes of a delay.
+    later = replace(late, effects=(replace(first, law="delay"), replace(lag, law="lag")))
+    assert diagnose_subject(later).diagnosis.verdict.effects == ("first",)
 
 
 def test_a_nominal_refit_gets_out_of_a_local_minimum_that_an_effect_got_out_of():
