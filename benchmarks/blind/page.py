@@ -49,6 +49,8 @@ _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems,
 by the definitions of its abstract: whether a discrepancy is seen; F1 of the samples in the regimes that are named;
 the relative error of the parameters that the runs determine; whether the law is named."""
+_IN_THE_WAY = """In the way: another shape of a law takes a second effect; effects near a floor and the background
+are confused; no law acts in one regime only; a large change of a coefficient is hard to tell from others."""
 CASES = "cases.md"
 
 
@@ -166,6 +168,7 @@ def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
         "",
         "### What went wrong",
         "",
+        _IN_THE_WAY,
         f"Every case, and figures without an aim: `benchmarks/blind/published/<seed>/{CASES}`.",
         "",
         _kinds_of_misses(cases),
