@@ -203,7 +203,6 @@ def diagnose_subject(
     nominal = fit_effects(subject, (), [{}])
     if nominal is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
-    subject, nominal = _solved(subject, nominal)
     values = nominal.fit.values
     clean = without_spikes(subject, _prediction(subject, values), values)
     if clean is not subject:
@@ -371,15 +370,7 @@ def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int
 
 
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
-    """Refit the nominal parameters until the solver's errors do not count there, also with an effect."""
-    subject, nominal = _solved(subject, nominal)
-    nominal = escaped(subject, (), over_horizons(subject, (), nominal, subject.starts))
-    trials = [{**nominal.fit.values, **effect.neutral, **effect.trials[0]} for effect in subject.effects]
-    return tightened(subject, [nominal.fit.values, *trials]), nominal
-
-
-def _solved(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
-    """Refit the nominal parameters until the solver's errors do not count there."""
+    """Refit the nominal parameters until the solver's errors stay below the noise there, also with an effect."""
     for _ in range(_RESTARTS):
         tighter = tightened(subject, [nominal.fit.values])
         if tighter is subject:
@@ -388,7 +379,9 @@ def _solved(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
         nominal = fit_effects(subject, (), [before]) or nominal
         if all(abs(nominal.fit.values[u.name] - before[u.name]) <= u.step for u in subject.nominal):
             break  # errors there are those here
-    return subject, nominal
+    nominal = escaped(subject, (), over_horizons(subject, (), nominal, subject.starts))
+    trials = [{**nominal.fit.values, **effect.neutral, **effect.trials[0]} for effect in subject.effects]
+    return tightened(subject, trials), nominal
 
 
 def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Searched:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +18,6 @@ from fmuid.diagnosis.candidates import (
     led_out,
     moved,
     promising,
-    refitted,
     score_at_start,
     score_early,
     score_further,
@@ -28,7 +27,7 @@ from fmuid.diagnosis.cross_validation import NoiseDraws
 from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, project_off
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import SEEN, Score, alias_classes, largest_drop, nominal_basis, similarity, stack
-from fmuid.diagnosis.subject import Subject, tightened
+from fmuid.diagnosis.subject import Subject
 
 _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
@@ -46,8 +45,8 @@ _LATE = ("lag", "delay")  # shapes of one law: how a signal comes late
 _OF_TIME = (*_LATE, "drift")  # properties of a signal that are no shape of a law of its value
 _ALIKE = 0.9  # correlation of signatures above which a law may stand in for another one
 
-_Rest = Callable[[Subject, Fitted, str], Fitted | None]
-"""A subject, a model and one of its effects -> the refit without it."""
+_Rest = Callable[[Fitted, str], Fitted | None]
+"""A model and one of its effects -> the refit without it."""
 
 
 def search(
@@ -90,11 +89,8 @@ def search(
         candidates += _moved(subject, best, candidates, scores)
         best = decide.best_of(candidates, subject.observed)
     signatures = _signatures(subject, nominal, candidates, scores)[0]
-    without_one = cache(without)
-    while present and len(best.effects) < _MOST:
-        subject, best = _solved(subject, best, candidates)
-        if exact_enough(subject, best):
-            break
+    without_one = cache(partial(without, subject))
+    while present and len(best.effects) < _MOST and not exact_enough(subject, best):
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.effects))
         shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
         company = [
@@ -108,16 +104,6 @@ def search(
         candidates += company
         best = _exchanged(subject, better, candidates, scores, without_one)
     return candidates, _pruned(subject, best, candidates, without_one)
-
-
-def _solved(subject: Subject, best: Fitted, candidates: list[Fitted]) -> tuple[Subject, Fitted]:
-    """Return the subject with solver tolerances that are tight enough for the best model, and its refit then."""
-    tighter = tightened(subject, [best.fit.values])
-    if tighter is not subject:
-        candidates.remove(best)
-        best = refitted(tighter, best)
-        candidates.append(best)
-    return tighter, best
 
 
 def aliases(
@@ -309,7 +295,7 @@ def _exchanged(
         candidates += _crossed(subject, best, candidates, scores)
         for rest, name in fresh:
             explored.add(rest)
-            candidates += _replaced(subject, without_one(subject, best, name), candidates, scores)
+            candidates += _replaced(subject, without_one(best, name), candidates, scores)
         best = decide.best_of([c for c in candidates if len(c.effects) == len(best.effects)], subject.observed)
 
 
@@ -370,7 +356,7 @@ def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted], without_on
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
     """
     while len(best.effects) > 1:
-        simpler = [without_one(subject, best, name) for name in best.effects]
+        simpler = [without_one(best, name) for name in best.effects]
         enough = [
             s for s in simpler if s is not None and (exact_enough(subject, s) or not decide.worth_adding(s, best))
         ]

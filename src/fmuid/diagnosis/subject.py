@@ -303,9 +303,8 @@ def solved_well_enough(
     values: Mapping[str, float],
     reference: Mapping[str, str] | None = None,
 ) -> tuple[CampaignModel, tuple[str, ...]]:
-    """Return the model with the loosest tolerances whose errors do not count, and findings.
+    """Return the model with the loosest tolerances whose errors no measurement would show, and findings.
 
-    Errors count that measurements would show and that matter next to what the model leaves of them.
     `reference` tells which runs repeat the reference of another (`as_repeats`). Runs that cannot be predicted to
     their end at any tolerance are cut where prediction fails.
     """
@@ -326,18 +325,17 @@ def solved_well_enough(
 def tightened(subject: Subject, points: Sequence[Mapping[str, float]]) -> Subject:
     """Return the subject with tolerances that are tight enough at these points as well; `subject` if its own are.
 
-    Errors have to be small next to what the best of the points leaves. An effect may need a tighter tolerance than
-    the plain model, which is solved anew at every jump of an input: then only points that name its parameters get
-    it. A point that cannot be predicted whatever the tolerance is left out.
+    An effect may need a tighter one than the plain model, which is solved anew at every jump of an input: then
+    only points that name its parameters get it. A point that cannot be predicted whatever the tolerance is left
+    out.
     """
     model, always = subject.model, {u.name for u in subject.nominal}
     every = [(k, case, values) for values in points for k, case in enumerate(model.cases_at(values))]
-    sigma, left = _sigma(model), _least_left(model)
+    sigma = _sigma(model)
     result = accuracy(
         [replace(case, id=f"{n}") for n, (_, case, _) in enumerate(every)],
         lambda wanted: model.predict_cases([(every[n][0], task, every[n][2]) for n, task in wanted]),
         sigma=[sigma[k] for k, _, _ in every],
-        left=lambda n, predicted: left(every[n][0], predicted),
     )
     needed: dict[frozenset[str], dict[str, float]] = {}
     for n, (_, case, values) in enumerate(every):
@@ -360,28 +358,10 @@ def _sigma(model: CampaignModel) -> list[FloatArray]:
     return [noise[run.setup].of_mean(run.n_repeats) for run in model.runs]
 
 
-def _least_left(model: CampaignModel) -> Callable[[int, FloatArray], float]:
-    """Return a function that tells what the best prediction so far of a case, by its number, leaves of it.
-
-    In standard deviations of the noise, without what that would leave.
-    """
-    runs, sigma, least = model.runs, _sigma(model), [math.inf] * len(model.cases)
-
-    def left(k: int, predicted: FloatArray) -> float:
-        total = float(np.sum(((predicted - runs[k].mean) * runs[k].mask / sigma[k][:, None]) ** 2))
-        if math.isfinite(total):
-            least[k] = min(least[k], math.sqrt(max(total - float(runs[k].mask.sum()), 0.0)))
-        return least[k] if math.isfinite(least[k]) else 0.0
-
-    return left
-
-
 def _accuracy(model: CampaignModel, values: Mapping[str, float]) -> SolverAccuracy:
     every = {**model.fixed, **values}
     starts = [model.start_values(case, every) for case in model.cases]
-    return solver_accuracy(
-        model.cases, every, starts, model.runner, sigma=_sigma(model), left=_least_left(model), loosest=_LOOSEST
-    )
+    return solver_accuracy(model.cases, every, starts, model.runner, sigma=_sigma(model), loosest=_LOOSEST)
 
 
 def model_of(

@@ -2,8 +2,7 @@
 
 An integrator's tolerance bounds its error in one step, not the error of a prediction. The tolerance is therefore
 tightened until all samples of a run together change by less than `UNSEEN` standard deviations of their noise. No
-test, cost or standard error can then differ by more than that. While a model is far from its measurements, more is
-enough: errors that are small next to those of the model. If a prediction keeps changing however tight the
+test, cost or standard error can then differ by more than that. If a prediction keeps changing however tight the
 tolerance is (chaos, or stick-slip at its limit), the run cannot be predicted from that time on, and its later
 samples are excluded.
 """
@@ -23,7 +22,6 @@ from fmuid.simulation.runners import Outcome, Runner
 from fmuid.simulation.simulator import Task
 
 UNSEEN = 0.2
-_NEXT_TO_ERRORS = 5e-4  # of a model's errors: they change its cost by a thousandth, as an iteration at least does
 _TIGHTEST = 1e-10
 _SAME = 1e-9  # relative difference of two equal simulations that is rounding
 _SHRINKING = 0.25  # a tenth of the tolerance should leave less than this share of the previous change
@@ -103,7 +101,6 @@ def solver_accuracy(
     runner: Runner,
     *,
     sigma: Sequence[FloatArray] | None = None,
-    left: Callable[[int, FloatArray], float] | None = None,
     loosest: Sequence[float] = (),
 ) -> SolverAccuracy:
     """Find for each case the loosest tolerance whose error stays below the measurement noise.
@@ -115,9 +112,6 @@ def solver_accuracy(
     sigma
         (C,) standard deviations of the means that the predictions of each case are compared with, if not those of
         its channels.
-    left
-        Errors of the model itself, by the number of a case and its prediction: the root of the sum of squares,
-        in standard deviations. By default, they do not count.
     loosest
         Tolerances to try, largest first; by default the case's own tolerance, which is then only tightened. A case
         that cannot be simulated keeps its own tolerance.
@@ -136,7 +130,7 @@ def solver_accuracy(
             for (k, _), o in zip(wanted, outcomes, strict=True)
         ]
 
-    return accuracy(cases, sensed, sigma=sigma, left=left, loosest=loosest)
+    return accuracy(cases, sensed, sigma=sigma, loosest=loosest)
 
 
 def accuracy(
@@ -144,7 +138,6 @@ def accuracy(
     sensed: Callable[[Sequence[tuple[int, Task]]], Sequence[Outcome]],
     *,
     sigma: Sequence[FloatArray] | None = None,
-    left: Callable[[int, FloatArray], float] | None = None,
     loosest: Sequence[float] = (),
 ) -> SolverAccuracy:
     """Do the same for any predictions: `sensed` returns those of the channels of a case by its number and task."""
@@ -172,10 +165,9 @@ def accuracy(
                     chosen, ended = ladder[level - 1], True
                 else:
                     moved = _moved(case, looser - outcome, None if sigma is None else sigma[k])
-                    seen = max(UNSEEN, _NEXT_TO_ERRORS * left(k, outcome)) if left is not None else UNSEEN
-                    settled = moved[-1] < seen
+                    settled = moved[-1] < UNSEEN
                     chosen, ended = ladder[level - 1] if settled else ladder[level], ended or settled
-                    astray = (moved >= seen) & (moved >= _SHRINKING * moves.get(k, np.zeros(1)))
+                    astray = (moved >= UNSEEN) & (moved >= _SHRINKING * moves.get(k, np.zeros(1)))
                     if ended and astray.any():
                         until[case.id] = float(case.time[int(np.argmax(astray))])
                     moves[k] = moved
