@@ -270,8 +270,10 @@ def test_a_gap_is_present_if_it_matters_and_noise_hardly_ever_leaves_as_much(
 
     null = SimpleNamespace(p_value=of, threshold=lambda: 9.0)
     noise = SimpleNamespace(null=lambda basis, signatures: null)
-    subject = SimpleNamespace(observed=RECORDED, effects=(), model=SimpleNamespace(predict=None))
-    scores = [SimpleNamespace(signature=None, drop=d) for d in (3.0, 8.0)]
+    by_id = {"law": SimpleNamespace(among=1), "best of three": SimpleNamespace(among=3)}
+    subject = SimpleNamespace(observed=RECORDED, effects=(), model=SimpleNamespace(predict=None), by_id=by_id)
+    drops = {"law": 8.0, "best of three": 9.0}  # noise leaves the best of three 2 ln 3 more
+    scores = [SimpleNamespace(signature=None, effect=name, drop=drop) for name, drop in drops.items()]
     evidence = diagnose._evidence(subject, fitted((), gap), scores, noise)
     assert (evidence.present, evidence.p_value) == (present, p_value)
     assert asked == [(gap**2, 4.0)]  # a score counts from twice what noise reaches
