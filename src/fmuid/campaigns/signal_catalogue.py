@@ -182,7 +182,8 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
                 (0.0, -size / duration, size / duration, 1e-3 * size / duration),
                 f"{s.unit}/s",
             ),
-            _Size("drift_settling", (), (0.0, -3 / duration, 20 / duration, 0.03 / duration), "1/s", shape=True),
+            # One that settled within less than a third of a run would be an offset.
+            _Size("drift_settling", (), (0.0, -3 / duration, 3 / duration, 0.03 / duration), "1/s", shape=True),
         ],
         "lag": [late, _Size("lag_split", (), (0.0, 0.0, 0.45, 0.01), "1", shape=True, natural=True)],
         "delay": [late],
