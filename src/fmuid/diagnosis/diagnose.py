@@ -592,16 +592,11 @@ def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple
     """Return the answers that the data leave open, and whether they are plausible.
 
     An effect at implausible bounds, where a law may imitate another one, does not hide plausible ones that close
-    about as much, or those next to it. What closes nothing of a gap is no answer, nor is a set with an effect that
-    the others make unnecessary.
+    about as much, or those next to it. What closes nothing of a gap is no answer.
     """
 
     def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
-        return tuple(a for a in answers if not decide.strained(a, subject.effects) and needed(a))
-
-    def needed(fitted: Fitted) -> bool:
-        simpler = (c for c in candidates if c.effects and set(c.effects) < set(fitted.effects))
-        return all(decide.worth_adding(c, fitted) for c in simpler)
+        return tuple(a for a in answers if not decide.strained(a, subject.effects))
 
     def closes(fitted: Fitted) -> bool:
         if subject.observed.bounded:
