@@ -406,7 +406,7 @@ class Evaluator:
         return self._call(name, [None if a is None else self._argument(a) for a in nodes])
 
     def _argument(self, node: Expression) -> Value:
-        """Evaluate an argument of a function; the function may ignore a variable that has no value yet."""
+        """Evaluate an argument of a function. A variable may lack a value if the function ignores it."""
         try:
             return self._reference(node) if isinstance(node, Reference) else self(node)
         except algebra.UnsetError:

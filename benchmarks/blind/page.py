@@ -49,8 +49,8 @@ _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems,
 by the definitions of its abstract: whether a discrepancy is seen; F1 of the samples in the regimes that are named;
 the relative error of the parameters that the runs determine; whether the law is named."""
-_IN_THE_WAY = """In the way: another shape of a law takes a second effect; effects near a floor and the background
-are confused; no law acts in one regime only; a large change of a coefficient is hard to tell from others."""
+_IN_THE_WAY = """What stands in the way: a law of another shape takes a second effect; effects near a noise floor
+are confused with the background; no law acts in one regime only; large changes of coefficients look alike."""
 CASES = "cases.md"
 
 
@@ -108,7 +108,8 @@ def case_by_case(seed: Seed) -> str:
     for grid in _grids(seed):
         cases = grid.cases
         aimed, others = _with_aims(figures(cases))
-        parts += [f"## {grid.title}\n", grid.told + "\n", _aims(aimed, {"as drawn": figures(grid.drawn)})]
+        drawn = seed.cases(grid.first, grid.first + grid.count, drawn=True)
+        parts += [f"## {grid.title}\n", grid.told.capitalize() + "\n", _aims(aimed, {"as drawn": figures(drawn)})]
         parts += ["### Figures without an aim\n", _aims(others)]
         parts += ["### By stratum, repeats, noise and rig\n", _shares(cases)]
         parts += ["### Every case that is not right\n", _misses(cases)]
@@ -117,29 +118,28 @@ def case_by_case(seed: Seed) -> str:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Cases of a seed, `count` when all are diagnosed, with labels as measured and as drawn."""
+    """Cases of a seed from `first` on, `count` when all are diagnosed."""
 
     seed: Seed
     title: str
+    first: int
     count: int
     cases: list[Scored]
-    drawn: list[Scored]
 
     @property
     def told(self) -> str:
         """What was diagnosed, by which commit."""
-        many, rigs = len(self.cases), len({c.label["rig"] for c in self.cases})
-        part = f"The first {many} of {self.count} cases" if many < self.count else f"{many} cases"
-        told = self.seed.told
+        many, rigs, told = len(self.cases), len({c.label["rig"] for c in self.cases}), self.seed.told
+        part = f"the first {many} of {self.count} cases" if many < self.count else f"{many} cases"
         return f"{part}, on {rigs} rigs, diagnosed by commit `{told['commit'][:10]}`, grammar {told['grammar']}."
 
 
 def _grids(seed: Seed) -> list[_Grid]:
-    every = []
-    for title, n, count in (("a rehearsal", 0, REHEARSAL), ("the check", REHEARSAL, CHECK)):
-        cases, drawn = (seed.cases(n, n + count, drawn=as_drawn) for as_drawn in (False, True))
-        every += [_Grid(seed, f"Seed {seed.seed}: {title}", count, cases, drawn)] if cases else []
-    return every
+    return [
+        _Grid(seed, f"Seed {seed.seed}: {title}", first, count, cases)
+        for title, first, count in (("a rehearsal", 0, REHEARSAL), ("the check", REHEARSAL, CHECK))
+        if (cases := seed.cases(first, first + count))
+    ]
 
 
 def _with_aims(every: Sequence[Figure]) -> tuple[list[Figure], list[Figure]]:
@@ -153,8 +153,8 @@ def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
     lines = [
         f"## {grid.title}",
         "",
-        grid.told,
-        *(f"Before, {one.title[0].lower()}{one.title[1:]}. {one.told}" for one in earlier),
+        grid.told.capitalize(),
+        *(f"For comparison, seed {one.seed.seed}: {one.told}" for one in earlier),
         "",
         _aims(_with_aims(figures(cases))[0], {f"seed {one.seed.seed}": figures(one.cases) for one in earlier}),
         "### Effects in one regime only",

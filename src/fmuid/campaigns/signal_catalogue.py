@@ -151,7 +151,8 @@ def _signals(
 class _Size(NamedTuple):
     """Sizes of a parameter: trials, then neutral, lower, upper and step, in `unit`; a shape if it has a start.
 
-    The law itself ends at the bounds of a `natural` one.
+    The law itself ends at the bounds of a `natural` one. Trials in other shapes have a value, the name of the
+    shape's parameter and its value.
     """
 
     name: str
@@ -160,6 +161,7 @@ class _Size(NamedTuple):
     unit: str
     shape: bool = False
     natural: bool = False
+    in_shapes: tuple[tuple[float, str, float], ...] = ()
 
 
 def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duration: float) -> list[_Size]:
@@ -182,13 +184,20 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
                 (0.0, -size / duration, size / duration, 1e-3 * size / duration),
                 f"{s.unit}/s",
             ),
-            # One that settled within less than a third of a run would be an offset.
+            # A drift that settles within a third of a run is an offset.
             _Size("drift_settling", (), (0.0, -3 / duration, 3 / duration, 0.03 / duration), "1/s", shape=True),
         ],
         "lag": [late, _Size("lag_split", (), (0.0, 0.0, 0.45, 0.01), "1", shape=True, natural=True)],
         "delay": [late],
         "saturation": [
-            _Size("compression", (0.3 / most, 1 / most, 1.5 / most), (0.0, 0.0, 20 / most, 0.02 / most), per),
+            # An abrupt limit is as plausible as a soft one.
+            _Size(
+                "compression",
+                (0.3 / most, 1 / most, 1.5 / most),
+                (0.0, 0.0, 20 / most, 0.02 / most),
+                per,
+                in_shapes=((1 / most, "hardness", _HARD), (1.5 / most, "hardness", _HARD)),
+            ),
             _Size("hardness", (), (4.0, 1.0, _HARD, 0.1), "1", shape=True),
         ],
         "play": [_Size(law, (0.01 * size, 0.05 * size, 0.2 * size), (0.0, 0.0, size, 1e-3 * size), s.unit)],
@@ -201,7 +210,14 @@ def _sizes(law: str, s: _Signal, others: Iterable[_Signal], step: float, duratio
             )
         ],
         "dead_zone": [
-            _Size(law, (0.01 * most, 0.05 * most), (0.0, 0.0, most, 1e-3 * most), s.unit),
+            # One that is wider on one side also acts as an offset does.
+            _Size(
+                law,
+                (0.01 * most, 0.05 * most),
+                (0.0, 0.0, most, 1e-3 * most),
+                s.unit,
+                in_shapes=tuple((0.05 * most, "dead_zone_skew", skew) for skew in (-0.5, 0.5)),
+            ),
             _Size("dead_zone_skew", (), (0.0, -1.0, 1.0, 0.01), "1", shape=True, natural=True),
         ],
     }  # fmt: skip
@@ -216,12 +232,8 @@ def _effect(signal: str, law: str, description: str, source: str, sizes: Iterabl
         first, lower, upper, step = (f"{x:.4g}" for x in size.limits)
         kind = "start" if size.shape else "neutral"
         trials += [f"{{ {name} = {x:.4g} }}" for x in size.trials]
-        if size.name == "compression":  # an abrupt limit is as plausible as a soft one
-            hard = toml_text(f"{signal}.hardness")
-            trials += [f"{{ {name} = {x:.4g}, {hard} = {_HARD:g} }}" for x in size.trials[1:]]
-        if size.name == "dead_zone":  # one that is wider to one side also acts as an offset does
-            skew = toml_text(f"{signal}.dead_zone_skew")
-            trials += [f"{{ {name} = {size.trials[-1]:.4g}, {skew} = {k:g} }}" for k in (-0.5, 0.5)]
+        for x, shape, value in size.in_shapes:
+            trials.append(f"{{ {name} = {x:.4g}, {toml_text(f'{signal}.{shape}')} = {value:g} }}")
         rows.append(
             f"{name} = {{ {kind} = {first}, lower = {lower}, upper = {upper}, step = {step}, "
             f"unit = {toml_text(size.unit)}{', natural = true' * size.natural} }}"

@@ -42,7 +42,7 @@ _GAIN = 0.1  # share of the remaining gap that a further effect closes before ot
 _SHAPE = 0.1  # share of the gap (a hundredth of its energy) that the plant's shape of a law may leave of ours
 _SAME_PLACE = 0.95  # correlation of one law's signatures at two ports above which the ports count as one
 _LATE = ("lag", "delay")  # shapes of one law: how a signal comes late
-_OF_TIME = (*_LATE, "drift")  # properties of a signal that are no shape of a law of its value
+_OF_TIME = (*_LATE, "drift")  # laws of a signal over time, which are not shapes of a law of its value
 _ALIKE = 0.9  # correlation of signatures above which a law may stand in for another one
 
 _Rest = Callable[[Fitted, str], Fitted | None]

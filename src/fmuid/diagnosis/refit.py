@@ -45,7 +45,6 @@ _COARSE = 0.02  # share of the cost that an iteration of a quick search has to g
 _ACROSS = 50.0  # times the tolerance, of the cost beyond the noise: promises of a twentieth lead across ripples
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
 ITERATIONS = 25  # Jacobians of a search; nearly all end by their tolerance before
-_DAMPED = 1e-4  # share of a slope that damps steps: two parameters may do the same, and `dogbox` needs full rank
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
 
 Slopes = Literal["exact", "near", "wide"]
@@ -212,15 +211,15 @@ def _search(
             raise _ExhaustedError
         iterations += 1
         x = campaign.clipped(x)
-        j = np.vstack([campaign.stacked(campaign.jacobian(x, slopes)), campaign.prior]) * campaign.steps
-        return np.vstack([j, np.diag(_DAMPED * np.linalg.norm(j, axis=0))])
+        j = np.vstack([campaign.stacked(campaign.jacobian(x, slopes)), campaign.prior])
+        return np.asarray(j * campaign.steps)
 
     if not len(start):
         return cost, start, True
     lower, upper = campaign.lower / campaign.steps, campaign.upper / campaign.steps
     try:
         trust_region(
-            lambda z: np.append(residuals(z * campaign.steps), np.zeros(len(start))),
+            lambda z: residuals(z * campaign.steps),
             lambda z: jacobian(z * campaign.steps),
             start / campaign.steps,
             lower,

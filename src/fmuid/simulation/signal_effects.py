@@ -119,12 +119,15 @@ def disturbed_input(
     edges = time
     if effect.get("delay", 0.0) > 0.0:
         edges, y = np.append(time[0], time + effect["delay"]), np.append(y[0], y)
-    course, edges = Course(edges, y, linear), _joined(time, edges)
-    parts = [(share, _behind(course, edges, lag)) for share, lag in _stages(effect)]
-    if len(parts) < 2:
-        return parts[0][1] if parts else course
-    every = np.union1d(parts[0][1].edges, parts[1][1].edges)
-    return Course(every, sum((share * part.on(every) for share, part in parts), np.zeros(len(every))), linear)
+    course, stages = Course(edges, y, linear), _stages(effect)
+    if not stages:
+        return course
+    edges = _joined(time, edges)
+    parts = [(share, _behind(course, edges, lag)) for share, lag in stages]
+    if len(parts) == 1:
+        return parts[0][1]
+    every = np.union1d(*(part.edges for _, part in parts))
+    return Course(every, np.sum([share * part.on(every) for share, part in parts], axis=0), linear)
 
 
 def _stages(effect: Mapping[str, float]) -> list[tuple[float, float]]:

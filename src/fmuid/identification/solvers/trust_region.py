@@ -9,6 +9,8 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 
+_DAMPED = 1e-4  # share of a slope: far below those of parameters that measurements tell apart
+
 
 class SettledError(Exception):
     """Raised by a residual function when trial points no longer differ by a relevant amount."""
@@ -40,7 +42,8 @@ def trust_region(
         Functions of an (n,) point with results (m,) and (m, n).
     method
         ``trf`` (Branch, Coleman and Li, 1999), ``dogbox`` (Voglis and Lagaris, 2004), which takes fewer steps to a
-        minimum at a bound, or ``lm`` (MINPACK; without bounds).
+        minimum at a bound, or ``lm`` (MINPACK; without bounds). As ``dogbox`` needs a Jacobian of full rank, its
+        steps are damped where several parameters do the same.
     cost_tolerance, step_tolerance
         Relative changes at which the search ends.
     """
@@ -49,6 +52,8 @@ def trust_region(
     bounds: tuple[Any, Any] = (-np.inf, np.inf) if method == "lm" else (lower, upper)
     if method == "trf":  # an interior method needs a start slightly off the bounds
         start = np.clip(start, np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
+    if method == "dogbox":
+        residuals, jacobian = _damped(residuals, jacobian, len(start))
     with np.errstate(all="ignore"):  # SciPy divides by zero where a parameter has no effect
         result = least_squares(
             residuals,
@@ -63,3 +68,15 @@ def trust_region(
             max_nfev=10_000,
         )
     return int(result.status)
+
+
+def _damped(
+    residuals: Callable[[FloatArray], FloatArray], jacobian: Callable[[FloatArray], FloatArray], count: int
+) -> tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
+    """Return the functions with a row for each of the parameters, with a share of its slope and no residual."""
+
+    def with_rows(x: FloatArray) -> FloatArray:
+        slopes = jacobian(x)
+        return np.vstack([slopes, np.diag(_DAMPED * np.linalg.norm(slopes, axis=0))])
+
+    return lambda x: np.append(residuals(x), np.zeros(count)), with_rows
