@@ -91,7 +91,7 @@ def test_one_of_many_is_said_where_it_belongs(bench: Path) -> None:
     )
     validate = fmuid(bench, "validate", "run")
     assert (validate.returncode, validate.stderr) == (1, "")
-    assert validate.stdout.splitlines()[-1].split(maxsplit=2) == ["other", "y", crashed]
+    assert validate.stdout.splitlines()[-1].split(maxsplit=3) == ["other", "y", "1", crashed]
     report = fmuid(bench, "report", "run", "--out", "page")
     assert (report.returncode, report.stderr) == (0, "")
     assert crashed in (bench / "page" / "index.html").read_text()

@@ -51,6 +51,16 @@ def test_a_delay_of_the_input_delays_the_answer(plain):
     assert late == pytest.approx(plain.simulate(task(moved), {}), abs=1e-9)
 
 
+def test_a_model_s_run_is_prepared_once_while_its_parameters_and_sensors_move(plain, monkeypatch):
+    model, run, seen = SignalModel(plain, NAMES), task(), []
+    monkeypatch.setattr(plain, "simulate", lambda task, at: seen.append(task) or np.zeros((1, task.time.size)))
+    for at in ({"d": 0.7}, {"d": 0.8}, {"d": 0.8, "y.offset": 0.1}):
+        model.simulate(run, {"u.delay": 2.5e-3} | at)
+    model.simulate(run, {"y.offset": 0.1, "y.gain": 2.0})
+    assert seen[0] is seen[1] is seen[2] is not run
+    assert seen[3] is run
+
+
 def test_a_worker_gets_the_same_model_and_others_are_told_apart(plain):
     model = SignalModel(plain, NAMES)
     again = pickle.loads(pickle.dumps(model))

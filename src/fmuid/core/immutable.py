@@ -14,7 +14,15 @@ FloatArray = NDArray[np.float64]
 
 
 def read_only(values: ArrayLike) -> FloatArray:
-    """Return a read-only, C-ordered float64 copy of `values`."""
+    """Return a read-only, C-ordered float64 copy of `values`, or the array itself if it is all that already."""
+    if (
+        isinstance(values, np.ndarray)
+        and values.base is None
+        and values.dtype == np.float64
+        and values.flags.c_contiguous
+        and not values.flags.writeable
+    ):
+        return values
     array = np.array(values, dtype=np.float64, order="C", copy=True)
     array.flags.writeable = False
     return array

@@ -26,6 +26,7 @@ from fmuid.simulation.signal_effects import (
     Effects,
     disturbed_readings,
     disturbed_task,
+    effects_on_simulation,
     split_signal_parameters,
 )
 from fmuid.simulation.signal_model import SignalModel
@@ -399,7 +400,8 @@ class CampaignModel:
         if want.drive is not None or not (signal or along):
             disturbed = _disturbed(want.case, want.index, signal, want.drive)
             return disturbed, _task(want, disturbed)
-        of_signals = tuple((name, *of_one.items()) for name, of_one in signal.items())
+        acting = effects_on_simulation(signal, want.case.task.inputs, [c.signal for c in want.case.channels])
+        of_signals = tuple((name, *of_one.items()) for name, of_one in acting.items())
         key = want.index, want.case.task, of_signals, tuple(tuple(move.items()) for move in along)
         if key not in self._posed:
             disturbed = _disturbed(want.case, want.index, signal, None)
@@ -503,7 +505,7 @@ def _disturbed(
         if np.any(values) or case.simulator.variables[name].start != 0.0:
             driven[name] = _lined(values, case.task.time) if linear else _held(values)
     names = [c.signal for c in case.channels]
-    if not driven and not any(name in signal for name in (*names, *case.task.inputs)):
+    if not driven and not effects_on_simulation(signal, case.task.inputs, names):
         return None
     return disturbed_task(
         case.task,

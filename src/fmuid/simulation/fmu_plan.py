@@ -63,11 +63,9 @@ class PreparedTask:
         self.library = library
         self._slots, self._where = slots, library.where
         self._kept: list[Any] = []  # arrays the plan points into
-        self._check_time(task.time)
-        self._inputs(task, variables)
-        self.task = task = refined(task, variables)
-        inputs = self._inputs(task, variables)
-        check_steps(np.diff(task.time), interface, self._where)
+        self.task, steps, inputs = self._checked(task, variables)
+        task = self.task
+        check_steps(steps, interface, self._where)
         n = len(task.time)
         self.size = 8 * n * (2 * len(task.inputs) + 1)  # approximate bytes, including the task's own
         self.inputs = inputs
@@ -98,7 +96,7 @@ class PreparedTask:
         if library.model_exchange:
             self._integrate(described, inputs.shape[1], directional_references)
         # Sums of time and step size may round up past the last time; the FMU must not refuse that.
-        plan.stop = float(np.max(task.time[:-1] + np.diff(task.time)))
+        plan.stop = float(np.max(task.time[:-1] + steps))
         if interface.fixed_step is not None:
             plan.fixed_step = interface.fixed_step
             plan.stop += _ROUNDED * plan.fixed_step
@@ -142,13 +140,15 @@ class PreparedTask:
         except KeyError:
             raise FmuError(f"no variable '{name}'", where=self._where, fix=suggestion(name, self._slots)) from None
 
-    def _check_time(self, time: FloatArray) -> None:
-        if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all() or np.any(np.diff(time) <= 0):
+    def _steps(self, time: FloatArray) -> FloatArray:
+        steps = np.diff(time) if time.ndim == 1 else np.zeros(0)
+        if not len(steps) or not np.isfinite(time).all() or np.min(steps) <= 0.0:
             raise FmuError(
                 "times must be at least two, finite and strictly increasing",
                 where=self._where,
                 fix="check them",
             )
+        return steps
 
     def _pointer(self, array: NDArray[Any]) -> int:
         return _pointer_to(self._kept, array)
@@ -222,6 +222,12 @@ class PreparedTask:
             )
         array = (Group * max(1, len(groups)))(*groups)
         return len(groups), array, [array, *kept]
+
+    def _checked(self, task: Task, variables: Mapping[str, Variable]) -> tuple[Task, FloatArray, FloatArray]:
+        """Return a task with all its communication points, their steps (N - 1,) and its inputs as columns."""
+        steps, inputs = self._steps(task.time), self._inputs(task, variables)
+        fine = refined(task, variables)
+        return fine, *((steps, inputs) if fine is task else (np.diff(fine.time), self._inputs(fine, variables)))
 
     def _inputs(self, task: Task, variables: Mapping[str, Variable]) -> FloatArray:
         """Return the inputs of a task as columns, (N, n)."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,8 @@ from fmuid.simulation.runners import Job, Outcome, Runner
 from fmuid.simulation.simulator import Simulator, Task
 
 _MAGIC = b"fmuid-simulations 1\n"
-_TASKS = 256  # number of tasks whose digests are remembered
+_TASKS = 256  # number of tasks, models and files whose digests are remembered
 _LARGEST = 96_000_000  # bytes: to repeat some of a search's simulations is better than a full disk
-Thing = TypeVar("Thing")
 
 
 class RecordedSimulations:
@@ -56,8 +55,6 @@ class RecordedSimulations:
         end = positions[-1][2] if positions else None
         self._full = False
         self._journal = Journal(file, _MAGIC, end=end)
-        self._tasks: _Digests[Task] = _Digests(digest_of_task, _TASKS)
-        self._models: _Digests[Simulator] = _Digests(_of_model, _TASKS)
 
     def __enter__(self) -> RecordedSimulations:
         return self
@@ -107,25 +104,9 @@ class RecordedSimulations:
 
     def _key(self, job: Job) -> bytes:
         simulator, task, parameters = job
-        digest = hashlib.blake2b(self._models(simulator) + self._tasks(task), digest_size=16)
+        digest = hashlib.blake2b(_digest_of_model(simulator) + digest_of_task(task), digest_size=16)
         digest.update(digest_of_values(parameters))
         return digest.digest()
-
-
-class _Digests(Generic[Thing]):
-    """Digests of recently used objects, which are kept so that their ids are not reused."""
-
-    def __init__(self, digest: Callable[[Thing], bytes], size: int) -> None:
-        self._digest, self._size = digest, size
-        self._known: OrderedDict[int, tuple[Thing, bytes]] = OrderedDict()
-
-    def __call__(self, thing: Thing) -> bytes:
-        if id(thing) not in self._known:
-            self._known[id(thing)] = thing, self._digest(thing)
-            if len(self._known) > self._size:
-                self._known.popitem(last=False)
-        self._known.move_to_end(id(thing))
-        return self._known[id(thing)][1]
 
 
 def _positions(file: Path) -> list[tuple[bytes, int, int]]:
@@ -140,6 +121,13 @@ def digest_of_values(values: Mapping[str, float]) -> bytes:
 
 def digest_of_task(task: Task) -> bytes:
     """Return a digest of a task and its data."""
+    along = b"".join(b"|" + digest_of_values(direction) for direction in task.along)
+    return digest_without_along(task) + hashlib.blake2b(along, digest_size=16).digest()
+
+
+@lru_cache(maxsize=_TASKS)
+def digest_without_along(task: Task) -> bytes:
+    """Return a digest of a task and its data, whatever it is differentiated along."""
     digest = hashlib.blake2b(digest_size=16)
     how = (
         task.interpolation,
@@ -152,8 +140,6 @@ def digest_of_task(task: Task) -> bytes:
     )
     digest.update(repr((task.outputs, *how, task.every)).encode())
     digest.update(digest_of_values(task.start_values))
-    for direction in task.along:
-        digest.update(b"|" + digest_of_values(direction))
     arrays: list[Any] = [task.time, *(task.inputs[name] for name in sorted(task.inputs))]
     if task.feedback is not None:
         arrays += [task.feedback.measured, task.feedback.gain]
@@ -162,10 +148,19 @@ def digest_of_task(task: Task) -> bytes:
     return digest.digest()
 
 
-def _of_model(simulator: Simulator) -> bytes:
+@lru_cache(maxsize=_TASKS)
+def _digest_of_model(simulator: Simulator) -> bytes:
     """Return a digest of a model and its files, because a copy with other start values has the same token."""
     digest = hashlib.blake2b(repr((simulator.token, simulator.interface)).encode(), digest_size=16)
     for path in simulator.files:
         if path.is_file():
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
+            there = path.stat()
+            digest.update(_digest_of_file(path, there.st_mtime_ns, there.st_size))
     return digest.digest()
+
+
+@lru_cache(maxsize=_TASKS)
+def _digest_of_file(path: Path, modified: int, size: int) -> bytes:
+    """Return a digest of a file that was modified at that time and has that size."""
+    del modified, size
+    return hashlib.sha256(path.read_bytes()).digest()

@@ -23,7 +23,7 @@ import numpy as np
 from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.simulation.band_limited import refined
-from fmuid.simulation.recorded import digest_of_task, digest_of_values
+from fmuid.simulation.recorded import digest_of_values, digest_without_along
 from fmuid.simulation.simulator import Simulator, Task, Wrapped
 
 Length = float | Literal["auto"]
@@ -111,8 +111,8 @@ class _Begin:
     @property
     def digest(self) -> bytes:
         """What the states in `origin` depend on, in brief."""
-        whole = self.task if not self.task.along else replace(self.task, along=())
-        return hashlib.blake2b(digest_of_task(whole) + digest_of_values(self.parameters), digest_size=16).digest()
+        values = digest_of_values(self.parameters)
+        return hashlib.blake2b(digest_without_along(self.task) + values, digest_size=16).digest()
 
 
 class Segmented(Wrapped):
@@ -152,6 +152,7 @@ class Segmented(Wrapped):
         self.simulator, self.task, self.length = simulator, task, length
         self.target, self.weight = read_only(np.where(weight > 0.0, target, 0.0)), read_only(weight)
         self.at = frozen_mapping(at)
+        self._seen = hashlib.blake2b(self.target.tobytes() + self.weight.tobytes(), digest_size=8).hexdigest()
         self._states = states_of(simulator, whole=length == math.inf)
         self.exact = simulator.differentiates(set(self.states))
         self._cut: _Cut | None = None
@@ -174,8 +175,7 @@ class Segmented(Wrapped):
     @property
     def token(self) -> str:
         """Identity of the model for fingerprints."""
-        seen = hashlib.blake2b(self.target.tobytes() + self.weight.tobytes(), digest_size=8).hexdigest()
-        token = f"{self.simulator.token} in segments of {self.length} of {seen}"
+        token = f"{self.simulator.token} in segments of {self.length} of {self._seen}"
         if self._begin is None:
             return token
         return f"{token} from {self._begin.digest.hex()} in {self._begin.origin.token}"

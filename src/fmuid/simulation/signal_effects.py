@@ -235,6 +235,16 @@ class Disturbed:
         return out
 
 
+def effects_on_simulation(effects: Effects, inputs: Collection[str], outputs: Collection[str]) -> Effects:
+    """Return the effects that change what is simulated, not only how outputs read: on inputs, and late outputs."""
+    late = {
+        name: {prop: value for prop, value in effects[name].items() if prop in ("lag", "lag_split", "delay")}
+        for name in outputs
+        if any(effects.get(name, {}).get(prop, 0.0) > 0.0 for prop in ("lag", "delay"))
+    }
+    return {name: effects[name] for name in inputs if name in effects} | late
+
+
 def disturbed_task(
     task: Task,
     effects: Effects,
@@ -262,13 +272,10 @@ def disturbed_task(
     variables
         Variables of the model.
     """
-    late = {
-        row: effects[name]
-        for row, name in enumerate(outputs)
-        if any(effects.get(name, {}).get(prop, 0.0) > 0.0 for prop in ("lag", "delay"))
-    }
+    effects = effects_on_simulation(effects, task.inputs, outputs)
+    late = {row: effects[name] for row, name in enumerate(outputs) if name in effects}
     sampled = task
-    if late or not effects.keys().isdisjoint(task.inputs):
+    if effects:
         task = refined(task, variables)
     linear, driven_linear = task.interpolation == "linear", linear_drive or task.interpolation != "hold"
     courses = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -11,7 +12,14 @@ from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Interface
 from fmuid.core.errors import FmuError
 from fmuid.core.immutable import FloatArray
-from fmuid.simulation.signal_effects import NEUTRAL, disturbed_readings, disturbed_task, signal_and_property
+from fmuid.simulation.signal_effects import (
+    NEUTRAL,
+    Disturbed,
+    disturbed_readings,
+    disturbed_task,
+    effects_on_simulation,
+    signal_and_property,
+)
 from fmuid.simulation.simulator import Simulator, Task, Variable, Wrapped
 
 _UNITS = {
@@ -19,6 +27,7 @@ _UNITS = {
     "dead_zone_skew": "1",
 }  # fmt: skip
 _IN_UNIT = ("offset", "saturation", "dead_zone", "play")  # values in the signal's unit
+_POSED = 64  # tasks with effects that are remembered: those of every run, while parameters of the model move
 COMMUTE = ("gain", "lag", "lag_split", "delay")  # effects that commute with differentiating the signal
 
 
@@ -114,11 +123,29 @@ class SignalModel(Wrapped):
             task = replace(task, start_values=starts)
         if not effects:
             return self.simulator.simulate(task, plain)
-        any_times = not self.simulator.even_steps
-        disturbed = disturbed_task(
-            task, effects, task.outputs, {}, any_times=any_times, variables=self.simulator.variables
-        )
-        late = [name in self._differentiated for name in task.outputs]
-        shown = disturbed.readings(self.simulator.simulate(disturbed.task(), plain), late)
+        acting = effects_on_simulation(effects, task.inputs, task.outputs)
+        if acting:
+            of_signals = tuple((name, tuple(of_one.items())) for name, of_one in acting.items())
+            disturbed, posed = _posed(self.simulator, task, of_signals)
+            late = [name in self._differentiated for name in task.outputs]
+            shown = disturbed.readings(self.simulator.simulate(posed, plain), late)
+        else:
+            shown = self.simulator.simulate(task, plain)
         inputs = {name: task.sampled(u) for name, u in task.inputs.items()}
         return disturbed_readings(shown, task.outputs, effects, task.sampled(task.time), inputs)
+
+
+@lru_cache(maxsize=_POSED)
+def _posed(
+    simulator: Simulator, task: Task, effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
+) -> tuple[Disturbed, Task]:
+    """Return a task with effects applied, the same object as the last time: simulators prepare each task once."""
+    disturbed = disturbed_task(
+        task,
+        {name: dict(of_one) for name, of_one in effects},
+        task.outputs,
+        {},
+        any_times=not simulator.even_steps,
+        variables=simulator.variables,
+    )
+    return disturbed, disturbed.task()
