@@ -543,19 +543,27 @@ class _Flattener:
         if branches[0][0] is None:
             return branches[0][1]
         targets: dict[Any, Reference] = {}
-        for s in (s for _, statements in branches for s in statements):
+        out: list[Any] = []
+        for number, s in ((k, s) for k, (_, statements) in enumerate(branches) for s in statements):
+            if isinstance(s, Assert):  # holds where another branch is taken
+                true = Literal(s.at, True)
+                holds = [s.condition if k == number else true for k in range(len(branches))]
+                out.append(replace(s, condition=_chosen(item.at, branches, holds, true)))
+                continue
             if not isinstance(s, Assign | Reinit):
                 raise ModelicaError("this is not supported inside an if in a when-equation", where=s.at)
             targets.setdefault((type(s), _bare(_assigned(s))), _assigned(s))
-        out: list[Any] = []
         for (kind, bare), target in targets.items():
             kept: Expression = Call(item.at, "pre", (target,)) if kind is Assign else target
-
             values = [_value_in(statements, (kind, bare), kept) for _, statements in branches]
-            chosen = tuple((c, v) for (c, _), v in zip(branches, values, strict=True) if c is not None)
-            value = If(item.at, chosen, values[-1] if branches[-1][0] is None else kept)
-            out.append(kind(item.at, target, value))
+            out.append(kind(item.at, target, _chosen(item.at, branches, values, kept)))
         return out
+
+
+def _chosen(at: Place, branches: Sequence[Any], values: Sequence[Expression], otherwise: Expression) -> If:
+    """Value of the branch that is taken, or `otherwise` if none is."""
+    chosen = tuple((c, v) for (c, _), v in zip(branches, values, strict=True) if c is not None)
+    return If(at, chosen, values[-1] if branches[-1][0] is None else otherwise)
 
 
 def _value_in(statements: list[Any], target: tuple[type, Any], otherwise: Expression) -> Expression:

@@ -209,6 +209,7 @@ def test_an_integer_overflow_ends_the_simulation(simulate, kind, capfd):
 
 PRINTS = (
     "equation when y > 0.5 then {print}; end when;",
+    "equation when y > 0.5 then if y > 2 then {print}; elseif y < 2 then {print}; end if; end when;",
     "algorithm when y > 0.5 then {print}; end when;",
     "initial equation if e < 1 then {print}; end if;",
 )
