@@ -1,5 +1,6 @@
 """The paper reproduced: its linear model, its rig, and what its searches find there."""
 
+import runpy
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,13 @@ def test_the_linear_model_is_the_actuator_without_losses(fmus: Mapping[str, Path
     theirs = whole.simulate(replace(task, outputs=("tau_sensor", "encoder.phi_rel")), LINEAR)
     size = np.abs(theirs).max(axis=1, keepdims=True)
     np.testing.assert_allclose(ours / size, theirs / size, rtol=0.0, atol=1e-5)
+
+
+def test_without_the_standard_library_the_rest_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_module("benchmarks.multibody_load", run_name="__main__")
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("the variant with MultiBody is left out: EccentricLoadMultiBody.mo:8: ")
+    assert "get it with `git clone https://github.com/modelica/ModelicaStandardLibrary`" in line
 
 
 def test_the_rig_rings_with_its_shaft_fixed() -> None:

@@ -79,6 +79,8 @@ INVALID = {  # specification 4, 5.3, 6, 7.1.3
     "Integer n(start = 0.5);": "start of 'n' is Integer, but its value is Real",
     "Boolean b = 1;": "'b' is Boolean, but its value is Integer",
     'Real x = "a";': "'x' is Real, but its value is String",
+    'Real x[integer("a")];': "a number is needed here, not a String (an argument of integer())",
+    'Real x = sum({"a", "b"});': "the argument of sum() must be a number, not String",
     "Real x = true + 1;": "an operand of '+' must be a number, not Boolean",
     "Boolean b = not 1;": "the operand of 'not' must be Boolean, not Integer",
     "Boolean b = abs(true);": "the argument of abs() must be a number, not Boolean",

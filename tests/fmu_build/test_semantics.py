@@ -49,6 +49,16 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
             "scoped.j": 510, "keep.k": 3, "keep.m": 4,
         },
     ),
+    # specification 7.2.5: a vector for each element
+    "records of arrays in modifications": (
+        """
+        record Cell parameter Real R[2] = {1, 1}; parameter Real T = 3; end Cell;
+        record Data parameter Integer n = 2; Cell rc[n](R = {{1, 2}, {3, 4}}); end Data;
+        model Two parameter Real R[2]; Real y = R[1] + 10*R[2]; end Two;
+        model M parameter Data d; Cell r[d.n](R = d.rc.R); Two two[d.n](R = d.rc.R); end M;
+        """,
+        {"r[2].R[1]": 3, "r[1].R[2]": 2, "r[2].T": 3, "two[2].y": 43},
+    ),
     # specification 7.3: redeclarations, constraining clauses
     "redeclarations": (
         """
