@@ -44,13 +44,13 @@ Levels = Sequence[tuple[tuple[str, ...], tuple[str, ...]]]
 _OF_MODEL: Levels = (
     (_STRAIGHT, ("model.c",)),
     (_STRAIGHT, ("switches.c",)),
-    (_FAST, ("equations.c", "integrator.c", "dense_output.c")),
+    (_FAST, ("equations.c", "stages.c", "dense_output.c")),
     (_SELDOM, ("model_rare.c", "model_data.c")),
 )
 # ... and what does not.
 _GENERATED = {"model.c", "model_rare.c", "switches.c"}
 _RUNTIME: Levels = (
-    (_FAST, ("linear.c", "past.c", "transport.c")),
+    (_FAST, ("integrator.c", "linear.c", "past.c", "transport.c")),
     (_VECTORS, ("sensitivity.c",)),
     (_PLAIN, ("directions.c", "events.c", "kinks.c", "least_norm.c", "pivoting.c", "simulate.c", "variables.c")),
     (_SELDOM, ("arrays.c", "assertions.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),

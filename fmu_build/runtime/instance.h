@@ -228,6 +228,14 @@ void dense_output(const Step *step, double t, double *x);
 double first_kink(Instance *me, double h, int again);
 double next_kink(Instance *me, double from, double to, double *start, int *known, double *smooth);
 
+/* As fmax, for the loops over all states: compilers may not inline what libm does with zeros. A NaN is passed over. */
+static inline double larger(double a, double b) { return a > b || isnan(b) ? a : b; }
+
+/* stages.c */
+double tolerance_of(const State *s, int i, double x);
+double try_step(Instance *me, double t, double h);
+const char *culprit(const Instance *me);
+
 /* integrator.c */
 void restart_integration(Instance *me);
 Status integrate_step(Instance *me, double target, int exact);
