@@ -401,7 +401,7 @@ def _at(
     rows: list[tuple[FloatArray, ...]] = []
     time = [subject.model.cases[k].time for s in having for k in s.index]
     for law_name, trial in tried:
-        changes = [_change(laws()[law_name], x, t, trial) for x, t in zip(source.courses, time, strict=True)]
+        changes = _changes(laws()[law_name], source.courses, time, trial)
         if all(np.isfinite(c).all() for c in changes) and any(np.ptp(c) > 0.0 for c in changes):
             kept.append((law_name, trial))
             rows.append(tuple(changes))
@@ -517,21 +517,27 @@ def _linear(law: Law) -> bool:
     return law.of(COEFFICIENT).startswith("p*(1 + size*")
 
 
-def _change(law: Law, x: FloatArray, time: FloatArray, values: Mapping[str, float]) -> FloatArray:
-    """Return the relative change of a coefficient over the course of its source."""
+def _changes(
+    law: Law, courses: Sequence[FloatArray], times: Sequence[FloatArray], values: Mapping[str, float]
+) -> list[FloatArray]:
+    """Return the relative changes of a coefficient over the courses of its source, one for each run."""
+    x, ends = np.concatenate(courses), np.cumsum([len(t) for t in times])[:-1]
     columns: dict[str, FloatArray | float] = {**values, "x": x, "p": 1.0}
     for state, one in law.states.items():
-        heat = _evaluated(one.derivative, {**columns, state: 0.0}, x) * values["lag"]
-        keep = np.exp(-float(np.mean(np.diff(time))) / values["lag"])
-        columns[state] = first_order((1.0 - keep) * np.concatenate([[0.0], heat[:-1]]), keep)
-    return _evaluated(law.of(COEFFICIENT), columns, x) - 1.0
+        heats = np.split(_evaluated(one.derivative, {**columns, state: 0.0}, x) * values["lag"], ends)
+        keeps = [np.exp(-float(np.mean(np.diff(time))) / values["lag"]) for time in times]
+        warmed = [
+            first_order((1.0 - keep) * np.append(0.0, heat[:-1]), keep)
+            for heat, keep in zip(heats, keeps, strict=True)
+        ]
+        columns[state] = np.concatenate(warmed)
+    return np.split(_evaluated(law.of(COEFFICIENT), columns, x) - 1.0, ends)
 
 
 def _evaluated(text: str, columns: Mapping[str, FloatArray | float], like: FloatArray) -> FloatArray:
     expression = parse_modelica(text)
-    full = {n: np.broadcast_to(columns[n], like.shape) for n in expression.names}
-    with np.errstate(all="ignore"):
-        return np.broadcast_to(expression.of_samples(full), like.shape).astype(np.float64)
+    values = expression.of_samples({n: np.asarray(columns[n], dtype=np.float64) for n in expression.names})
+    return np.broadcast_to(values, like.shape)
 
 
 def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Sequence[FloatArray]) -> FloatArray:
