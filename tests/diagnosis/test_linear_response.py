@@ -11,7 +11,7 @@ from fmu_build.instrument import Added, Term, instrument
 from fmu_build.packaging import package
 from fmuid import load_fmu
 from fmuid.simulation.fmu import Fmu
-from fmuid.simulation.linear_response import Linearised, LinearisedFmu
+from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearResponse
 from fmuid.simulation.simulator import Task
 
 RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
@@ -87,3 +87,23 @@ def packed(path: Path, files: dict[str, bytes]) -> Path:
         for name, content in files.items():
             archive.writestr(name, content)
     return path
+
+
+@pytest.mark.parametrize("steps", [1, 2, 8, 9, 23])
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_states_pass_on_from_knot_to_knot(steps, n):
+    rng, outputs, parameters = np.random.default_rng(5), 2, 2
+    time = np.linspace(0.0, 1.0, steps + 1)
+    transition = rng.normal(scale=0.6, size=(steps, n, n))
+    driven = rng.normal(size=(steps, n, parameters))
+    observed = rng.normal(size=(steps + 1, outputs, n))
+    direct = rng.normal(size=(steps + 1, outputs, parameters))
+    response = LinearResponse(time, np.arange(steps + 1.0), transition, driven, observed, direct)
+    courses = rng.normal(size=(4, steps + 1))
+    moved = response.to(1, courses)
+    for course, of_one in zip(courses, moved, strict=True):
+        state = np.zeros(n)
+        for k in range(steps + 1):
+            assert of_one[:, k] == pytest.approx(observed[k] @ state + direct[k, :, 1] * course[k], abs=1e-9)
+            if k < steps:
+                state = transition[k] @ state + driven[k, :, 1] * 0.5 * (course[k] + course[k + 1])

@@ -7,6 +7,7 @@ parameters can be compared before a model with one of them is built.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,9 +53,7 @@ class LinearResponse:
         """Return the (R, q, N) response of the outputs to (R, N) courses of a parameter's relative change."""
         at_knots = courses[:, self.knots.astype(np.intp)]
         middle = 0.5 * (at_knots[:, 1:] + at_knots[:, :-1])
-        states = np.zeros((len(self.knots), self.transition.shape[-1], len(courses)))
-        for k, (step, add) in enumerate(zip(self.transition, self.driven[:, :, parameter], strict=True)):
-            states[k + 1] = step @ states[k] + add[:, None] * middle[:, k]
+        states = self._passed_on(self.driven[:, :, parameter, None] * middle.T[:, None, :])
         responses = (
             self.observed @ states + self.direct[:, :, parameter, None] * at_knots.T[:, None, :]
         )  # (K, q, R)
@@ -62,6 +61,39 @@ class LinearResponse:
             return responses.transpose(2, 1, 0)
         at = self.time[self.knots.astype(np.intp)]
         return np.array([[np.interp(self.time, at, row) for row in one] for one in responses.transpose(2, 1, 0)])
+
+    @cached_property
+    def _blocks(self) -> tuple[FloatArray, FloatArray]:
+        """The transitions in blocks, (b, s, n, n), and how states pass on from the beginning of each block."""
+        steps, n = len(self.transition), self.transition.shape[-1]
+        size = math.isqrt(steps) + 1
+        count = -(-steps // size)
+        padded = np.zeros((count * size, n, n))
+        padded[:steps] = self.transition
+        blocks = padded.reshape(count, size, n, n)
+        products = np.array(blocks)
+        for i in range(1, size):
+            products[:, i] = blocks[:, i] @ products[:, i - 1]
+        return blocks, products
+
+    def _passed_on(self, added: FloatArray) -> FloatArray:
+        """Return the (K, n, R) states that begin at zero and to which (K-1, n, R) are added from knot to knot.
+
+        All blocks of knots begin at zero side by side; then the states at their beginnings are passed on.
+        """
+        blocks, products = self._blocks
+        count, size, n, _ = blocks.shape
+        columns = added.shape[-1]
+        padded = np.zeros((count * size, n, columns))
+        padded[: len(added)] = added
+        inside = padded.reshape(count, size, n, columns)
+        for i in range(1, size):
+            inside[:, i] += blocks[:, i] @ inside[:, i - 1]
+        begins = np.zeros((count, n, columns))
+        for j in range(1, count):
+            begins[j] = products[j - 1, -1] @ begins[j - 1] + inside[j - 1, -1]
+        states = (inside + products @ begins[:, None]).reshape(count * size, n, columns)
+        return np.concatenate([np.zeros((1, n, columns)), states[: len(added)]])
 
 
 class Linearised:
