@@ -38,7 +38,7 @@ Before any diagnosis, 50 random rigs were compared with their models: `make blin
 
 A gap is in noise floors of a sample after a refit of all parameters. Sizes are drawn by quick refits; the label
 then says what refits to the end leave (`measured.jsonl`). An effect that leaves less than a floor is one of the
-background. Figures with labels as drawn are with the cases. Effects that a case's runs cannot tell
+background. Effects that a case's runs cannot tell
 apart (less than 3 standard deviations over all runs, by the plant) count as one, coefficients that vary included;
 a drag is a damper that grows with speed. A model whose gap is below its tolerance, one floor, is complete. The
 background's effects may be named, and what the runs cannot tell from one of them that is visible itself. Intervals
@@ -49,8 +49,6 @@ _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems,
 by the definitions of its abstract: whether a discrepancy is seen; F1 of the samples in the regimes that are named;
 the relative error of the parameters that the runs determine; whether the law is named."""
-_IN_THE_WAY = """What stands in the way: a law of another shape takes a second effect; effects near a noise floor
-are confused with the background; no law acts in one regime only; large changes of coefficients look alike."""
 CASES = "cases.md"
 
 
@@ -63,6 +61,7 @@ class Seed:
     labels: list[dict[str, Any]]
     records: dict[str, dict[str, Any]]
     measured: dict[str, dict[str, Any]]
+    in_the_way: str
 
     def cases(self, first: int, last: int, *, drawn: bool = False) -> list[Scored]:
         """Return the cases of these numbers that were diagnosed, with labels as measured, or as `drawn`."""
@@ -86,12 +85,8 @@ def read_published(folder: Path) -> list[Seed]:
             [json.loads(line) for line in (file.parent / name).read_text().splitlines()]
             for name in ("labels.jsonl", "answers.jsonl", "measured.jsonl")
         )
-        seeds.append(
-            Seed(
-                told["seed"], told, labels, {r["case"]: r for r in records},
-                {m["case"]: m for m in measured},
-            )
-        )  # fmt: skip
+        by_case = [{one["case"]: one for one in every} for every in (records, measured)]
+        seeds.append(Seed(told["seed"], told, labels, *by_case, file.with_name("in_the_way.md").read_text()))
     return seeds
 
 
@@ -127,19 +122,23 @@ class _Grid:
     cases: list[Scored]
 
     @property
+    def rigs(self) -> int:
+        return len({c.label["rig"] for c in self.cases})
+
+    @property
     def told(self) -> str:
         """What was diagnosed, by which commit."""
-        many, rigs, told = len(self.cases), len({c.label["rig"] for c in self.cases}), self.seed.told
+        many, told = len(self.cases), self.seed.told
         part = f"the first {many} of {self.count} cases" if many < self.count else f"{many} cases"
-        return f"{part}, on {rigs} rigs, diagnosed by commit `{told['commit'][:10]}`, grammar {told['grammar']}."
+        return (
+            f"{part}, on {self.rigs} rigs, diagnosed by commit `{told['commit'][:10]}`, grammar {told['grammar']}."
+        )
 
 
 def _grids(seed: Seed) -> list[_Grid]:
-    return [
-        _Grid(seed, f"Seed {seed.seed}: {title}", first, count, cases)
-        for title, first, count in (("a rehearsal", 0, REHEARSAL), ("the check", REHEARSAL, CHECK))
-        if (cases := seed.cases(first, first + count))
-    ]
+    groups = ("a rehearsal", 0, REHEARSAL), ("the check", REHEARSAL, CHECK)
+    every = [(title, first, count, seed.cases(first, first + count)) for title, first, count in groups]
+    return [_Grid(seed, f"Seed {seed.seed}: {title}", *rest) for title, *rest in every if rest[-1]]
 
 
 def _with_aims(every: Sequence[Figure]) -> tuple[list[Figure], list[Figure]]:
@@ -149,12 +148,13 @@ def _with_aims(every: Sequence[Figure]) -> tuple[list[Figure], list[Figure]]:
 
 
 def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
-    cases = grid.cases
+    cases, every = grid.cases, [*earlier, grid]
     lines = [
         f"## {grid.title}",
         "",
         grid.told.capitalize(),
         *(f"For comparison, seed {one.seed.seed}: {one.told}" for one in earlier),
+        f"Together, these are {sum(len(g.cases) for g in every)} cases on {sum(g.rigs for g in every)} rigs.",
         "",
         _aims(_with_aims(figures(cases))[0], {f"seed {one.seed.seed}": figures(one.cases) for one in earlier}),
         "### Effects in one regime only",
@@ -168,7 +168,7 @@ def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
         "",
         "### What went wrong",
         "",
-        _IN_THE_WAY,
+        grid.seed.in_the_way,
         f"Every case, and figures without an aim: `benchmarks/blind/published/<seed>/{CASES}`.",
         "",
         _kinds_of_misses(cases),
