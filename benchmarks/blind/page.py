@@ -86,7 +86,8 @@ def read_published(folder: Path) -> list[Seed]:
             for name in ("labels.jsonl", "answers.jsonl", "measured.jsonl")
         )
         by_case = [{one["case"]: one for one in every} for every in (records, measured)]
-        seeds.append(Seed(told["seed"], told, labels, *by_case, file.with_name("in_the_way.md").read_text()))
+        causes = "".join(why.read_text() for why in file.parent.glob("in_the_way.md"))  # written by hand, later
+        seeds.append(Seed(told["seed"], told, labels, *by_case, causes))
     return seeds
 
 
@@ -130,9 +131,8 @@ class _Grid:
         """What was diagnosed, by which commit."""
         many, told = len(self.cases), self.seed.told
         part = f"the first {many} of {self.count} cases" if many < self.count else f"{many} cases"
-        return (
-            f"{part}, on {self.rigs} rigs, diagnosed by commit `{told['commit'][:10]}`, grammar {told['grammar']}."
-        )
+        by = f"diagnosed by commit `{told['commit'][:10]}`, grammar {told['grammar']}."
+        return f"{part}, on {self.rigs} rigs, {by}"
 
 
 def _grids(seed: Seed) -> list[_Grid]:
@@ -143,7 +143,7 @@ def _grids(seed: Seed) -> list[_Grid]:
 
 def _with_aims(every: Sequence[Figure]) -> tuple[list[Figure], list[Figure]]:
     """Return the figures that have an aim, and the others."""
-    aimed = [f for f in every if f.lower is not None or f.upper is not None]
+    aimed = [f for f in every if (f.lower, f.upper) != (None, None)]
     return aimed, [f for f in every if f not in aimed]
 
 
