@@ -209,8 +209,10 @@ class Parameters:
         if isinstance(bound, Array) and bound.shape != shape:
             what = f"'{name}' has size {list(shape)}, its value has size {list(bound.shape)}"
             raise self._flat.error(what, variable.at)
+        # Nobody could set a protected parameter that follows from constants: it is one.
+        fixed = variable.final or (variable.protected and any(references(variable.binding)))
         items = [
-            self._scalar(self._declarations.scalars[scalar], item, variable.final)
+            self._scalar(self._declarations.scalars[scalar], item, fixed)
             for scalar, item in zip(names(name, shape), algebra.scalars(bound), strict=True)
         ]
         return Array(shape, tuple(items)) if shape else items[0]
@@ -223,7 +225,7 @@ class Parameters:
             raise self._flat.error(f"integer overflow: '{declared.name}' would be {value}", declared.at)
         return float(value) if declared.type == "Real" else value
 
-    def _scalar(self, declared: Declared, value: Scalar, final: bool) -> Scalar:
+    def _scalar(self, declared: Declared, value: Scalar, fixed: bool) -> Scalar:
         if isinstance(value, SX):
             value = algebra.fold(value)
         if isinstance(value, SX):
@@ -242,7 +244,7 @@ class Parameters:
             self.dependent.append((declared, value))
             return declared.symbol
         value = self._checked(declared, value)
-        if declared.kind == "constant" or final:
+        if declared.kind == "constant" or fixed:
             declared.kind = "constant"
             declared.symbol = value
             return value

@@ -34,6 +34,12 @@ COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("
 _FALLBACK = pytest.StashKey[str]()
 
 
+def needs_the_library() -> None:
+    """Skip the test where no folder has the Modelica Standard Library."""
+    if not any((folder / "Modelica" / "package.mo").is_file() for folder in LIBRARY_FOLDERS):
+        pytest.skip("no Modelica Standard Library in MODELICAPATH or a tool's folder")
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "use the pure-Python reference models of the actuator, as where there is no C compiler"
     parser.addoption("--reference-models", action="store_true", help=text)

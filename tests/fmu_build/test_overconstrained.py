@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmu_build import compile_flat, compile_modelica, load
+from fmu_build import build, compile_flat, compile_modelica, load
 from fmu_build.errors import ModelicaError
 from fmu_build.instrument import Added, instrument
 from fmu_build.model_ports import find_ports
-from tests.conftest import LIBRARY_FOLDERS, MODELICA
+from fmuid.simulation.fmu import load_fmu
+from fmuid.simulation.simulator import Task
+from tests.conftest import LIBRARY_FOLDERS, MODELICA, needs_the_library
 from tests.every_law import every_law
 from tests.fmu_build.simulate import Instance, states
 
@@ -119,11 +121,6 @@ def test_wrong_graphs_are_refused(tmp_path: Path, model: str, message: str) -> N
         compiled(tmp_path, f"  model M inner World world; {model} end M;\n")
 
 
-def needs_the_library() -> None:
-    if not any((folder / "Modelica" / "package.mo").is_file() for folder in LIBRARY_FOLDERS):
-        pytest.skip("no Modelica Standard Library in MODELICAPATH or a tool's folder")
-
-
 def test_the_eccentric_load_of_multibody_equals_the_torque_of_its_weight() -> None:
     needs_the_library()
     plain, body = (
@@ -204,3 +201,37 @@ def test_laws_at_the_flange_of_a_joint_between_frames_act_as_at_a_flange_alone(t
     for law, expected in plain.items():
         np.testing.assert_allclose(bodies[law], expected, rtol=1e-9)
         assert not law or not np.allclose(expected, plain[""], rtol=1e-6), law
+
+
+def test_axes_of_joints_are_constants_and_animation_that_is_off_is_left_out(tmp_path: Path) -> None:
+    needs_the_library()
+    file, flanges = tmp_path / "M.mo", "rotor.torque = tau; connect(rotor.flange, joint.axis);"
+    file.write_text(f"model M {MOTOR}{ARMS['MultiBody']} {flanges} end M;")
+    model = compile_modelica(file, "M", LIBRARY_FOLDERS)
+    shown = ("joint.cylinder.", "rod.cylinder.", "rod.sphere.")
+    assert not [v.name for v in model.variables if v.name.startswith(shown)]
+    assert {v.causality for v in model.variables if v.name.startswith("joint.e[")} == {"local"}
+    assert model.functions["derivatives"].n_instructions() < 100  # the rotation about any axis takes 156
+
+
+# Where examples of the library end; the results that the Modelica Association publishes.
+ENDS = {
+    "Elementary.Pendulum": (5.0, {"rev.phi": -1.679635, "rev.w": -2.318147}),
+    "Elementary.DoublePendulum": (3.0, {"revolute1.phi": -2.317929, "revolute2.phi": -1.736492}),
+    "Elementary.PendulumWithSpringDamper": (10.0, {"prismatic.s": 0.746850, "revolute.phi": -1.332908}),
+    "Elementary.SpringDamperSystem": (10.0, {"body1.frame_a.r_0[1]": 0.300592, "body1.frame_a.r_0[2]": -0.426901}),
+    "Loops.PlanarFourbar": (5.0, {"revolute1.phi": -0.939783, "revolute1.w": 6.993490}),
+    "Systems.RobotR3.OneAxis": (0.7504, {"axis.initializeFlange.phi_flange": 1.788888}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", ENDS)
+def test_examples_of_multibody_end_where_the_published_results_do(tmp_path: Path, example: str) -> None:
+    needs_the_library()
+    (folder,) = (f for f in LIBRARY_FOLDERS if (f / "Modelica" / "package.mo").is_file())
+    name = f"Modelica.Mechanics.MultiBody.Examples.{example}"
+    stop, expected = ENDS[example]
+    with load_fmu(build(folder / "Modelica" / "package.mo", name, tmp_path, roots=[folder])) as fmu:
+        ends = fmu.simulate(Task(np.linspace(0.0, stop, 501), {}, tuple(expected)), {})[:, -1]
+    np.testing.assert_allclose(ends, [*expected.values()], rtol=1e-3)

@@ -487,3 +487,13 @@ def test_a_state_select_that_is_not_followed_is_said(tmp_path, body, warning):
     (tmp_path / "M.mo").write_text(f"model M {body} end M;")
     warnings = compile_modelica(tmp_path / "M.mo", "M").warnings
     assert [w for w in warnings if "stateSelect" in w and warning in w] == [*warnings][: bool(warning)]
+
+
+def test_a_protected_parameter_that_follows_from_constants_is_one(tmp_path):
+    (tmp_path / "M.mo").write_text(
+        "model M parameter Real n = 4 annotation(Evaluate = true); parameter Real a = 1; Real x(start = 1);\n"
+        "protected parameter Real e = sqrt(n); parameter Real d = 2*a; parameter Real k = 3; equation der(x) = -e*d*k*x; end M;"
+    )
+    model = compile_modelica(tmp_path / "M.mo", "M")
+    assert [v.name for v in model.variables if v.location.vector == "p"] == ["a", "k"]
+    assert Instance.of(model, {"a": 5.0, "k": 7.0}).derivative(0.0, np.array([1.0])) == pytest.approx(-140.0)
