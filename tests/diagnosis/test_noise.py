@@ -72,6 +72,21 @@ def test_beside_large_errors_of_a_model_every_sample_counts_alike():
     np.testing.assert_allclose(after, 1.0 / observed.noise["bench"].variance[0], rtol=0.05)
 
 
+def test_without_repeats_an_error_that_all_runs_share_is_no_shift_of_a_sensor():
+    rng = np.random.default_rng(4)
+    runs = [repeated(rng, repeats=1, name=f"run{k}") for k in range(5)]
+    observed = Observed.from_runs(runs)
+    sigma = np.sqrt(observed.noise["bench"].variance)
+    shared = [run.mean + 2.0 * sigma[:, None] for run in runs]
+    assert gap(observed.residuals(shared), observed) == 0.0
+    known = observed.with_shifts(shared)
+    assert gap(known.residuals(shared), known) > 0.9
+    shifted = [run.mean + 2.0 * sign * sigma[:, None] for run, sign in zip(runs, (1, -1, 1, -1, 1), strict=True)]
+    assert observed.with_shifts(shifted) is observed
+    few = Observed.from_runs(runs[:3])
+    assert few.with_shifts(shared[:3]) is few
+
+
 def test_the_mean_of_a_run_has_a_variance_of_its_own():
     rng = np.random.default_rng(2)
     runs = [repeated(rng, name=f"run{k}", offset=2.0) for k in range(8)]

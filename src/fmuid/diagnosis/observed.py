@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.runs import RepeatedRuns, cut
@@ -37,6 +38,7 @@ GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling a
 _FEW = 4  # experiments: with fewer, too little remains when one is left out
 _PIECES = 6  # number of pieces that a run without repeats is then cut into
 _SHORTEST = 64  # samples in the shortest piece
+_EXCEEDED = 0.05  # probability that shifts of sensors from run to run exceed their bound
 _MOST_TAKEN = 0.5  # largest share of the components in the bandwidth that nuisances may take
 
 
@@ -104,15 +106,34 @@ class Observed:
             counts = np.sum([r.mask.sum(axis=1) for _, r in of_setup], axis=0)
             error = np.zeros(len(plain.channels))
             for prediction, run in of_setup:
-                left = (prediction - run.mean) * run.mask
-                mean = left.sum(axis=1) / np.maximum(run.mask.sum(axis=1), 1.0)
-                beyond = np.sum(((left - mean[:, None]) * run.mask) ** 2, axis=1)
+                left = prediction - run.mean
+                beyond = np.sum(((left - _mean(left, run.mask)[:, None]) * run.mask) ** 2, axis=1)
                 beyond -= run.mask.sum(axis=1) * plain.of_mean(run.n_repeats) ** 2
                 error += run.n_repeats * beyond / np.maximum(counts, 1.0)
             if np.any(error > plain.variance):
                 noise[setup] = plain.beside(np.maximum(error, 0.0))
         same = all(noise[s] is self.noise[s] for s in noise)
         return self if same else Observed(self.runs, noise, self.predicted)
+
+    def with_shifts(self, predictions: Sequence[FloatArray]) -> Observed:
+        """Return the measurements with the shifts of sensors from run to run that runs without repeats show.
+
+        Until a model is known, a run may be shifted by as much as its noise. The means of the model's errors then
+        scatter by at least as much as shifts do, and what all runs have in common is none. The measurements are
+        the same if this bound, which shifts exceed once in twenty times, is no tighter.
+        """
+        noise = dict(self.noise)
+        for setup, plain in self.noise.items():
+            of_setup = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
+            if not plain.bounded or plain.pieces > 1 or len(of_setup) < _FEW:
+                continue
+            means = np.array([_mean(p - r.mean, r.mask) for p, r in of_setup])
+            scatter = np.sum((means - means.mean(axis=0)) ** 2, axis=0)
+            bound = scatter / float(chdtri(len(of_setup) - 1, 1.0 - _EXCEEDED))
+            if np.any(bound < plain.mean_variance):
+                noise[setup] = replace(plain, mean_variance=np.minimum(plain.mean_variance, bound))
+        same = all(noise[s] is self.noise[s] for s in noise)
+        return self if same else replace(self, noise=noise)
 
     @cached_property
     def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:
@@ -206,6 +227,11 @@ class Observed:
         if not self.nuisances:
             return parts
         return tuple(project_off(part, q) for part, q in zip(parts, self.nuisances, strict=True))
+
+
+def _mean(values: FloatArray, mask: FloatArray) -> FloatArray:
+    """Return the (C,) means of (C, N) values over the samples that there are."""
+    return np.asarray(np.sum(values * mask, axis=1) / np.maximum(mask.sum(axis=1), 1.0))
 
 
 def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhitener:
