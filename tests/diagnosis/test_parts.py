@@ -256,8 +256,13 @@ def test_a_refit_gets_over_ripples_of_the_cost():
     def predict(points, near=None):
         return [(model(p["k"], p["d"])[None],) for p in points]
 
-    fit = refit(predict, observed, [Unknown("k", 1.0, 0.0, 9.0, 0.01), Unknown("d", -1.0, -9.0, 9.0, 0.01)])
+    unknowns = [Unknown("k", 1.0, 0.0, 9.0, 0.01), Unknown("d", -1.0, -9.0, 9.0, 0.01)]
+    fit = refit(predict, observed, unknowns)
     assert fit.values == pytest.approx({"k": 2.0, "d": -0.5}, rel=0.01)
+    # There is no point in it if another model fits better than the trend promises.
+    ended = refit(predict, observed, unknowns, rival=fit.cost)
+    assert ended.cost > 2.0 * fit.cost
+    assert ended.evaluations < 0.6 * fit.evaluations
 
 
 def test_what_is_known_beforehand_of_an_effect_weighs_against_the_data():

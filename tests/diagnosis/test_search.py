@@ -8,18 +8,22 @@ import pytest
 from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, Reading, heard
 
+from fmuid.core.progress import quiet
+from fmuid.diagnosis import candidates
 from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import (
     _best_start,
     add_effect,
+    approach_effect,
     better_nominal,
     escaped,
     fit_effects,
     score_further,
     without,
 )
+from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.effect_search import _moved, _pruned
+from fmuid.diagnosis.effect_search import _added, _moved, _pruned, search
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
@@ -122,8 +126,8 @@ def test_a_law_that_no_trial_leads_to_is_found_from_the_same_law_at_another_port
     subject = replace(subject, effects=effects)
     starts = []
 
-    def added(subject, fitted, score, starts=()):
-        return None if score.effect == "law@b" else add_effect(subject, fitted, score, starts)
+    def added(subject, fitted, score, *begun):
+        return None if score.effect == "law@b" else add_effect(subject, fitted, score, *begun)
 
     def best_start(subject, points, *basis):
         starts.append(points)
@@ -182,6 +186,55 @@ def test_as_many_effects_are_named_as_are_true(truth, causes):
     verdict = diagnose_subject(plant(**truth)).diagnosis.verdict
     assert verdict.kind == "effect"
     assert set(verdict.effects) == causes
+
+
+@pytest.mark.parametrize(("again", "most"), [(False, 3), (True, 2)])
+def test_no_third_effect_is_tried_if_another_search_follows_a_pair_that_leaves_much(again, most):
+    laws = {"first": {1: 1.0}, "second": {2: 1.0}, "third": {3: 1.0}}
+    subject = heard(laws, {1: 1.0, 2: 1.0, 3: 0.6, 4: 0.6})
+    nominal = fit_effects(subject, (), [{}])
+    (prediction,) = subject.model.predict([nominal.fit.values])
+    scores, noise = score_further(subject, nominal), draw_noise(subject.observed, prediction)
+    models, best = search(subject, nominal, scores, noise, quiet, present=True, again=again)
+    assert max(len(c.effects) for c in models) == len(best.effects) == most
+
+
+def test_an_effect_that_a_quick_search_gains_nothing_with_is_refitted_from_neutral_values_or_not_at_all(
+    monkeypatch,
+):
+    laws = {f"law{n}": {n: 1.0} for n in range(1, 7)}
+    subject = heard(laws, {1: 1.0, 2: 1.0})
+    nominal = fit_effects(subject, (), [{}])
+    scores = sorted(score_further(subject, nominal), key=lambda s: s.effect)
+    begun = {}
+
+    def approached(subject, fitted, score):
+        worse = score.effect not in ("law1", "law2")
+        return fitted.fit.cost * (1.1 if worse else 0.5), {**fitted.fit.values, score.effect: 0.7}
+
+    def added(subject, fitted, score, starts, rival):
+        begun[score.effect] = starts[0][score.effect]
+        return add_effect(subject, fitted, score, starts)
+
+    monkeypatch.setattr("fmuid.diagnosis.effect_search.approach_effect", approached)
+    monkeypatch.setattr("fmuid.diagnosis.effect_search.add_effect", added)
+    _added(subject, nominal, scores, ["law2", "law6"])
+    assert begun == {"law1": 0.7, "law2": 0.7, "law3": 0.0, "law4": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("promised", "searches"), [((0.5, 0.9), 2), ((0.5, 1.1), 1), ((1.1, 0.5), 1), ((1.2, 1.1), 1)]
+)
+def test_a_quick_search_begins_twice_only_if_both_starts_promise_something(monkeypatch, promised, searches):
+    subject = heard({"law": {2: 1.0}}, {2: 1.0})
+    nominal = fit_effects(subject, (), [{}])
+    (score,) = score_further(subject, nominal)
+    costs, begun = iter(promised), []
+    best_start = lambda subject, points, basis: (points[0], next(costs) * nominal.fit.cost)  # noqa: E731
+    monkeypatch.setattr(candidates, "_best_start", best_start)
+    monkeypatch.setattr(candidates, "approach", lambda subject, unknowns, starts: begun.extend(starts))
+    approach_effect(subject, nominal, score)
+    assert len(begun) == searches
 
 
 def test_a_gap_that_shows_in_no_effect_is_unknown_without_a_port():

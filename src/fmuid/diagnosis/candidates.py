@@ -239,9 +239,10 @@ def fit_effects(
     iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
     chords: int = CHORDS,
+    rival: float = np.inf,
 ) -> Fitted | None:
     """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
-    fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance)
+    fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance, rival=rival)
     return None if fit is None else leaving_out(subject, effects, fit, chords=chords)
 
 
@@ -267,6 +268,7 @@ def refit_only(
     *,
     iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
+    rival: float = np.inf,
 ) -> Refit | None:
     """Refit as `fit_effects` does, without predictions of left-out experiments."""
     unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
@@ -280,6 +282,7 @@ def refit_only(
             tangents=subject.model.tangents,
             max_iterations=iterations,
             tolerance=tolerance,
+            rival=rival,
         )
     return None
 
@@ -371,14 +374,18 @@ def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
 
 
 def add_effect(
-    subject: Subject, fitted: Fitted, score: Score, starts: Sequence[Mapping[str, float]] = ()
+    subject: Subject,
+    fitted: Fitted,
+    score: Score,
+    starts: Sequence[Mapping[str, float]] = (),
+    rival: float = np.inf,
 ) -> Fitted | None:
-    """Refit `fitted` with the scored effect added, from `starts` or its best ones."""
+    """Refit `fitted` with the scored effect added, from `starts` or its best ones; see `refit` for the `rival`."""
     by_id = subject.by_id
     effect = by_id[score.effect]
     effects = [*(by_id[name] for name in fitted.effects), effect]
     begins = starts or _starts(subject, fitted, score)
-    added = fit_effects(subject, effects, begins) if begins else None
+    added = fit_effects(subject, effects, begins, rival=rival) if begins else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return added
@@ -407,7 +414,7 @@ def _starts(subject: Subject, fitted: Fitted, score: Score) -> list[Mapping[str,
     """Return where to begin with the scored effect added to `fitted`.
 
     Parameters refitted without the effect may have shifted to imitate it, so the campaign's start values are tried
-    as well.
+    as well. The worse of the two counts only if a step from there promises to leave less than `fitted` does.
     """
     effect = subject.by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
@@ -415,10 +422,12 @@ def _starts(subject: Subject, fitted: Fitted, score: Score) -> list[Mapping[str,
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in score.trials)]
     unbent = {**fitted.fit.values, **subject.starts}
     basis = nominal_basis(fitted.fit, subject.observed)
-    starts = (
-        _best_start(subject, [{**point, **size} for size in sizes], basis) for point in (fitted.fit.values, unbent)
+    starts = sorted(
+        (_best_start(subject, [{**at, **size} for size in sizes], basis) for at in (fitted.fit.values, unbent)),
+        key=lambda start: start[1],
     )
-    return [start for start, cost in starts if np.isfinite(cost)]
+    enough = (np.inf, fitted.fit.cost)
+    return [start for (start, cost), most in zip(starts, enough, strict=True) if cost < most]
 
 
 def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> Fitted | None:

@@ -36,12 +36,12 @@ from fmuid.diagnosis.cross_validation import (
     in_sample,
 )
 from fmuid.diagnosis.decide import tolerated
-from fmuid.diagnosis.effect_search import aliases, finished, search
+from fmuid.diagnosis.effect_search import aliases, finished, holds, search
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own_bases, responses_of, trajectories
 from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excess, excesses, gap
+from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
 from fmuid.diagnosis.scores import Score, hidden, largest_drop, nominal_basis, smallest_seen
 from fmuid.diagnosis.subject import Subject, tightened, with_states, without_spikes
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
@@ -217,7 +217,7 @@ def diagnose_subject(
         subject = replace(subject, observed=observed)
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
     subject, searched = _search_settled(subject, nominal, say, seed=seed)
-    if searched.evidence.present and not _holds(searched, observed):
+    if searched.evidence.present and not holds(subject, searched.nominal, searched.best):
         say("searching again, with weights for a model that has errors of its own", 0.4)
         subject, searched = _beside_errors(subject, searched, say, seed=seed)
     observed = subject.observed
@@ -337,25 +337,19 @@ def _onward(say: Say) -> Say:
     return tell
 
 
-def _search_settled(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
+def _search_settled(
+    subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: bool = False
+) -> tuple[Subject, _Searched]:
     """Search for effects from a nominal model, again from any better optimum of it that the search finds."""
     subject, nominal = _settled(subject, nominal)
-    subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed))
+    subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed, last=last))
     for _ in range(_RESTARTS if searched.evidence.present else 0):
         better = better_nominal(subject, searched.nominal, searched.candidates)
         if better is None:
             break
         subject, nominal = _settled(subject, better)
-        subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed))
+        subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed, last=last))
     return subject, searched
-
-
-def _holds(searched: _Searched, observed: Observed) -> bool:
-    """Return whether the best explanation of a search holds beyond doubt on left-out experiments."""
-    best = searched.best
-    return best is not None and decide.beyond_doubt(
-        searched.nominal, best, finished=best.gap <= GAP_THAT_MATTERS, bounded=observed.bounded
-    )
 
 
 def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int) -> tuple[Subject, _Searched]:
@@ -368,7 +362,7 @@ def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int
     if observed is subject.observed:
         return subject, searched
     again = replace(subject, observed=with_states(observed, subject.model, searched.nominal.fit.values))
-    again, second = _search_settled(again, refitted(again, searched.nominal), say, seed=seed)
+    again, second = _search_settled(again, refitted(again, searched.nominal), say, seed=seed, last=True)
     closed = [0.0 if one.best is None else decide.validated(one.nominal, one.best) for one in (searched, second)]
     return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, searched)
 
@@ -388,7 +382,7 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
     return tightened(subject, trials), nominal
 
 
-def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Searched:
+def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: bool) -> _Searched:
     """Locate the gap that a refit of the nominal parameters leaves, and search for effects that close it."""
     say("locating the gap", 0.08)
     paths = trajectories(subject.model, nominal.fit.values, subject.catalogue.regimes)
@@ -398,7 +392,8 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int) -> _Sea
     scores = score_further(subject, nominal)
     noise = draw_noise(subject.observed, prediction, seed=seed)
     evidence = _evidence(subject, nominal, scores, noise)
-    candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present)
+    again = not last and subject.observed.beside_errors(prediction) is not subject.observed
+    candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present, again=again)
     return _Searched(nominal, paths, energy, scores, noise, evidence, candidates, best)
 
 

@@ -57,6 +57,7 @@ def search(
     say: Say,
     *,
     present: bool,
+    again: bool = False,
 ) -> tuple[list[Fitted], Fitted | None]:
     """Return every model that was refitted, and the best one.
 
@@ -73,6 +74,9 @@ def search(
         Null distribution: no effect is added to a model whose residual is within the noise.
     present
         Whether there is a gap; without one, only the two best effects are refitted.
+    again
+        Whether another search follows unless the best explanation of this one holds beyond doubt. A pair that
+        does not is then left as it is.
     """
     singles, early = _promising(scores)[:2], list[str]()
     if present:
@@ -103,6 +107,8 @@ def search(
             break
         candidates += company
         best = _exchanged(subject, better, candidates, scores, without_one)
+        if again and not holds(subject, nominal, best):
+            break
     return candidates, _pruned(subject, best, candidates, without_one)
 
 
@@ -233,6 +239,13 @@ def _further(
     return further, left >= decide.SIGNIFICANCE and largest <= decide.SCORE_MARGIN * null.threshold()
 
 
+def holds(subject: Subject, nominal: Fitted, best: Fitted | None) -> bool:
+    """Return whether an explanation holds beyond doubt on left-out experiments."""
+    return best is not None and decide.beyond_doubt(
+        nominal, best, finished=best.gap <= GAP_THAT_MATTERS, bounded=subject.observed.bounded
+    )
+
+
 def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
     """Return whether the remaining gap of `best` is irrelevant, within the tolerances or within the noise."""
     return exact_enough(subject, best) or _further(subject, best, scores, noise)[1]
@@ -254,7 +267,8 @@ def _added(
     """Refit `fitted` with the scored effects; return the models that fit better than it does.
 
     Quick searches with each of them choose those that are refitted with care. The best fits, and `early` effects,
-    which may be far from their best, escape from local minima.
+    which may be far from their best, escape from local minima. An early effect whose quick search gains less than
+    its uncertainty promises no more than others do.
     """
     approached = []
     for k, score in enumerate(scores):
@@ -262,14 +276,18 @@ def _added(
         if (end := approach_effect(subject, fitted, score)) is not None:
             approached.append((*end, score))
     best = promising(approached)
-    chosen = [*best, *(one for one in approached if one[2].effect in early and one not in best)]
+    gaining = [one for one in approached if one[2].effect in early and about(one[0]) < fitted.fit.cost]
+    chosen = [*best, *(one for one in gaining if one not in best)]
     refits: list[tuple[Fitted, Score]] = []
-    for k, (_, values, score) in enumerate(chosen):
+    for k, (cost, values, score) in enumerate(chosen):
         say(f"refitting with {score.effect}", 0.4 + 0.3 * k / len(chosen))
-        added = add_effect(subject, fitted, score, [values])
+        neutral = {**fitted.fit.values, **subject.by_id[score.effect].neutral}
+        begin = values if cost < fitted.fit.cost else neutral
+        rival = min((other.fit.cost for other, _ in refits), default=np.inf)
+        added = add_effect(subject, fitted, score, [begin], rival)
         refits += [(added, score)] if added is not None else []
     refits.sort(key=lambda pair: pair[0].fit.cost)
-    likely = {score.effect for _, score in refits[:_EXTENDED]}.union(early)
+    likely = {score.effect for _, score in refits[:_EXTENDED]}.union(score.effect for *_, score in gaining)
     for k, (added, score) in enumerate(refits):
         if score.effect in likely:
             say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(refits))

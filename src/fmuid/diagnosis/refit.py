@@ -89,6 +89,7 @@ def refit(
     tangents: Tangents | None = None,
     max_iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
+    rival: float = np.inf,
 ) -> Refit:
     """Minimise the whitened squared residual of the mean runs.
 
@@ -115,6 +116,8 @@ def refit(
         Largest number of Jacobians from each start.
     tolerance
         The search ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
+    rival
+        Cost of another model. A search that has ended goes on only if slopes promise to fit about as well as it.
 
     Raises
     ------
@@ -138,7 +141,7 @@ def refit(
     def promising(end: _End, slopes: Slopes = "near", across: float = 0.0) -> bool:
         fall = campaign.promised(end[1], slopes) if len(unknowns) else 0.0
         relevant = max(_ENOUGH, tolerance * end[0], tolerance * across * (end[0] - campaign.size))
-        return fall > relevant and end[0] - fall < least
+        return fall > relevant and end[0] - fall < min(least, about(rival))
 
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
         for end in campaign.apart([end for end in ends if end[0] <= about(least)]):

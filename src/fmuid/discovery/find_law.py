@@ -332,9 +332,10 @@ class _Search:
             begins = [start, {**start, **subject.starts}] if law is None else [start]
             if (end := approach(subject, unknowns, begins)) is not None:
                 ends.append((*end, new, acting))
-        candidates = []
+        candidates: list[Candidate] = []
         for _, at, new, acting in promising(ends):
-            fitted, effect = fit_effects(subject, acting, [at]), acting[-1]
+            rival = min((c.fitted.fit.cost for c in candidates), default=np.inf)
+            fitted, effect = fit_effects(subject, acting, [at], rival=rival), acting[-1]
             if fitted is not None and not decide.strained(fitted, acting[len(beside) :]):
                 candidates.append(Candidate(new, effect, subject, fitted))
         return candidates
