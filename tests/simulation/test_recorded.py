@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -54,3 +58,17 @@ def test_a_record_ends_before_it_fills_the_disk_and_the_result_is_the_same(tmp_p
     courses = work(tmp_path, model, resume=True)
     assert model.simulated == [float(k) for k in range(kept, 10)]
     assert all(np.array_equal(f, 2.0 * k * TASK.time[None, :]) for k, f in enumerate(courses))
+
+
+@dataclass(init=False)
+class Compared(Doubling):
+    """A model that is compared by value, so it has no hash."""
+
+
+def test_a_model_without_a_hash_is_recorded_and_not_kept_afterwards(tmp_path):
+    model = Compared()
+    assert len(work(tmp_path, model)) == 10
+    gone = weakref.ref(model)
+    del model
+    gc.collect()
+    assert gone() is None

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -19,8 +21,9 @@ from fmuid.simulation.runners import Job, Outcome, Runner
 from fmuid.simulation.simulator import Simulator, Task
 
 _MAGIC = b"fmuid-simulations 1\n"
-_TASKS = 256  # number of tasks, models and files whose digests are remembered
+_MODELS = 256  # number of models, and of files, whose digests are remembered
 _LARGEST = 96_000_000  # bytes: to repeat some of a search's simulations is better than a full disk
+_OF_TASKS: WeakKeyDictionary[Task, bytes] = WeakKeyDictionary()
 
 
 class RecordedSimulations:
@@ -55,6 +58,7 @@ class RecordedSimulations:
         end = positions[-1][2] if positions else None
         self._full = False
         self._journal = Journal(file, _MAGIC, end=end)
+        self._models: OrderedDict[int, tuple[Simulator, bytes]] = OrderedDict()  # kept: ids are not reused
 
     def __enter__(self) -> RecordedSimulations:
         return self
@@ -104,9 +108,18 @@ class RecordedSimulations:
 
     def _key(self, job: Job) -> bytes:
         simulator, task, parameters = job
-        digest = hashlib.blake2b(_digest_of_model(simulator) + digest_of_task(task), digest_size=16)
+        digest = hashlib.blake2b(self._of_model(simulator) + digest_of_task(task), digest_size=16)
         digest.update(digest_of_values(parameters))
         return digest.digest()
+
+    def _of_model(self, simulator: Simulator) -> bytes:
+        key = id(simulator)
+        if key not in self._models:
+            self._models[key] = simulator, _digest_of_model(simulator)
+            if len(self._models) > _MODELS:
+                self._models.popitem(last=False)
+        self._models.move_to_end(key)
+        return self._models[key][1]
 
 
 def _positions(file: Path) -> list[tuple[bytes, int, int]]:
@@ -125,9 +138,10 @@ def digest_of_task(task: Task) -> bytes:
     return digest_without_along(task) + hashlib.blake2b(along, digest_size=16).digest()
 
 
-@lru_cache(maxsize=_TASKS)
 def digest_without_along(task: Task) -> bytes:
-    """Return a digest of a task and its data, whatever it is differentiated along."""
+    """Return a digest of a task and its data, whatever it is differentiated along; it is remembered."""
+    if task in _OF_TASKS:
+        return _OF_TASKS[task]
     digest = hashlib.blake2b(digest_size=16)
     how = (
         task.interpolation,
@@ -145,10 +159,9 @@ def digest_without_along(task: Task) -> bytes:
         arrays += [task.feedback.measured, task.feedback.gain]
     for array in arrays:
         digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
-    return digest.digest()
+    return _OF_TASKS.setdefault(task, digest.digest())
 
 
-@lru_cache(maxsize=_TASKS)
 def _digest_of_model(simulator: Simulator) -> bytes:
     """Return a digest of a model and its files, because a copy with other start values has the same token."""
     digest = hashlib.blake2b(repr((simulator.token, simulator.interface)).encode(), digest_size=16)
@@ -159,7 +172,7 @@ def _digest_of_model(simulator: Simulator) -> bytes:
     return digest.digest()
 
 
-@lru_cache(maxsize=_TASKS)
+@lru_cache(maxsize=_MODELS)
 def _digest_of_file(path: Path, modified: int, size: int) -> bytes:
     """Return a digest of a file that was modified at that time and has that size."""
     del modified, size

@@ -53,6 +53,7 @@ class SignalModel(Wrapped):
         self, simulator: Simulator, names: tuple[str, ...], differentiated: Collection[str] = frozenset()
     ) -> None:
         self.simulator, self._names, self._differentiated = simulator, names, frozenset(differentiated)
+        self._inputs = tuple((n, v) for n, v in simulator.variables.items() if v.causality == "input")
         file = next(iter(simulator.files), None)
         self._of: dict[str, tuple[str, str]] = {}
         added = {}
@@ -126,7 +127,7 @@ class SignalModel(Wrapped):
         acting = effects_on_simulation(effects, task.inputs, task.outputs)
         if acting:
             of_signals = tuple((name, tuple(of_one.items())) for name, of_one in acting.items())
-            disturbed, posed = _posed(self.simulator, task, of_signals)
+            disturbed, posed = _posed(task, of_signals, self.simulator.even_steps, self._inputs)
             late = [name in self._differentiated for name in task.outputs]
             shown = disturbed.readings(self.simulator.simulate(posed, plain), late)
         else:
@@ -137,15 +138,14 @@ class SignalModel(Wrapped):
 
 @lru_cache(maxsize=_POSED)
 def _posed(
-    simulator: Simulator, task: Task, effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
+    task: Task,
+    effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...],
+    even_steps: bool,
+    inputs: tuple[tuple[str, Variable], ...],
 ) -> tuple[Disturbed, Task]:
     """Return a task with effects applied, the same object as the last time: simulators prepare each task once."""
+    of_signals = {name: dict(of_one) for name, of_one in effects}
     disturbed = disturbed_task(
-        task,
-        {name: dict(of_one) for name, of_one in effects},
-        task.outputs,
-        {},
-        any_times=not simulator.even_steps,
-        variables=simulator.variables,
+        task, of_signals, task.outputs, {}, any_times=not even_steps, variables=dict(inputs)
     )
     return disturbed, disturbed.task()

@@ -58,7 +58,7 @@ class Feedback:
     gain: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Task:
     """One simulation to be run many times with different parameters.
 
