@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -100,20 +100,17 @@ class Observed:
         The mean of a run does not count among the errors: sensors shift from run to run. The measurements are
         the same if the noise of each signal is larger than the errors.
         """
-        noise = dict(self.noise)
-        for setup, plain in self.noise.items():
-            of_setup = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
+        changed = {}
+        for setup, plain, of_setup in self._errors(predictions):
             counts = np.sum([r.mask.sum(axis=1) for _, r in of_setup], axis=0)
             error = np.zeros(len(plain.channels))
-            for prediction, run in of_setup:
-                left = prediction - run.mean
+            for left, run in of_setup:
                 beyond = np.sum(((left - _mean(left, run.mask)[:, None]) * run.mask) ** 2, axis=1)
                 beyond -= run.mask.sum(axis=1) * plain.of_mean(run.n_repeats) ** 2
                 error += run.n_repeats * beyond / np.maximum(counts, 1.0)
             if np.any(error > plain.variance):
-                noise[setup] = plain.beside(np.maximum(error, 0.0))
-        same = all(noise[s] is self.noise[s] for s in noise)
-        return self if same else Observed(self.runs, noise, self.predicted)
+                changed[setup] = plain.beside(np.maximum(error, 0.0))
+        return Observed(self.runs, {**self.noise, **changed}, self.predicted) if changed else self
 
     def with_shifts(self, predictions: Sequence[FloatArray]) -> Observed:
         """Return the measurements with the shifts of sensors from run to run that runs without repeats show.
@@ -122,18 +119,24 @@ class Observed:
         scatter by at least as much as shifts do, and what all runs have in common is none. The measurements are
         the same if this bound, which shifts exceed once in twenty times, is no tighter.
         """
-        noise = dict(self.noise)
-        for setup, plain in self.noise.items():
-            of_setup = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
+        changed = {}
+        for setup, plain, of_setup in self._errors(predictions):
             if not plain.bounded or plain.pieces > 1 or len(of_setup) < _FEW:
                 continue
-            means = np.array([_mean(p - r.mean, r.mask) for p, r in of_setup])
+            means = np.array([_mean(left, run.mask) for left, run in of_setup])
             scatter = np.sum((means - means.mean(axis=0)) ** 2, axis=0)
             bound = scatter / float(chdtri(len(of_setup) - 1, 1.0 - _EXCEEDED))
             if np.any(bound < plain.mean_variance):
-                noise[setup] = replace(plain, mean_variance=np.minimum(plain.mean_variance, bound))
-        same = all(noise[s] is self.noise[s] for s in noise)
-        return self if same else replace(self, noise=noise)
+                changed[setup] = replace(plain, mean_variance=np.minimum(plain.mean_variance, bound))
+        return replace(self, noise={**self.noise, **changed}) if changed else self
+
+    def _errors(
+        self, predictions: Sequence[FloatArray]
+    ) -> Iterator[tuple[str, SetupNoise, list[tuple[FloatArray, RepeatedRuns]]]]:
+        """Yield each setup with its noise, and the errors (C, N) of predictions of its runs."""
+        for setup, plain in self.noise.items():
+            of_setup = [(p, r) for p, r in zip(predictions, self.runs, strict=True) if r.setup == setup]
+            yield setup, plain, [(p - r.mean, r) for p, r in of_setup]
 
     @cached_property
     def whiteners(self) -> tuple[Whitener | PiecewiseWhitener, ...]:
