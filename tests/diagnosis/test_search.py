@@ -1,6 +1,6 @@
 """The search among effects: a wrong first pick is mended, a law of another shape is no further cause."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +24,7 @@ from fmuid.diagnosis.candidates import (
 from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.effect_search import _added, _moved, _pruned, search
+from fmuid.diagnosis.next_experiment import suggest
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
@@ -273,6 +274,29 @@ def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch)
         monkeypatch.setattr("fmuid.diagnosis.decide.SAME", 2.0)
         monkeypatch.setattr("fmuid.diagnosis.next_experiment.SAME", 2.0)
         assert diagnose_subject(subject).diagnosis.added_sensor is not None
+
+
+def test_no_run_is_proposed_in_which_the_outputs_run_away():
+    """The two laws differ in a run beyond the recorded ones, if the reading grows there; not without limit."""
+
+    @dataclass(frozen=True)
+    class Growing(Reading):
+        growth: float
+
+        def simulate(self, task, parameters):
+            beyond = np.abs(task.inputs["u"]) > max(STRENGTHS)
+            return super().simulate(task, parameters) * np.where(beyond, self.growth, 1.0)
+
+    laws = {"one": {1: 1.0}, "other": {1: 1.0, 2: 0.004}}
+    subject = heard(laws, {1: 1.0, 2: 0.002})
+
+    def proposed(growth):
+        cases = tuple(replace(case, simulator=Growing(laws, growth)) for case in subject.model.cases)
+        growing = replace(subject, model=replace(subject.model, cases=cases))
+        return suggest(growing, [fit_effects(growing, [effect], [{}]) for effect in growing.effects])
+
+    assert proposed(1.9).description == "as e3, with its input times 1.5"
+    assert proposed(1e12) is None
 
 
 def test_a_known_effect_beside_an_unknown_one_is_a_part_of_the_answer(monkeypatch):

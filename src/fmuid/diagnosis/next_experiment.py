@@ -3,7 +3,7 @@
 Once the run is made, a wrong rival is refitted and adapts as far as the recorded runs let it. So of the difference
 of two predictions only the part counts that the rival's parameters cannot follow at less cost. `fmuid.design`
 searches for the run; a diagnosis itself only suggests one of the campaign's own runs with its input scaled, by no
-more than half beyond the original. Sensors are those of the catalogue.
+more than half beyond the original, if the outputs stay near what was recorded. Sensors are those of the catalogue.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from fmuid.effects.effect import Sensor, Unknown
 from fmuid.identification.problem.cases import Case, Channel
 
 _SCALES = (-1.0, 0.25, 0.5, 1.25, 1.5)  # factors on recorded inputs: a rig that has run them can run these
+_BEYOND = 1.0  # recorded range by which outputs may leave it: as far as a mirrored input leads a plant from rest
 _NINE_OF_TEN = 1.2816  # standard deviations: one-sided 90 %
 _PRECISELY, _USUAL = 1e-2, 1e-4  # shares of a diagnosis' solver tolerance: nearly equal models are compared
 _UNBOUNDED = 10.0  # standard deviation, in values, of an unbounded parameter that no run determines
@@ -216,15 +217,27 @@ def suggest(subject: Subject, alike: Sequence[Fitted]) -> NextExperiment | None:
             model = replace(subject.model, cases=(replace(case, task=task),))
             weight, whitener = np.sqrt(observed.repeats[k]), observed.whiteners[k]
             try:
-                apart, _ = distances(model, rivals, lambda d, w=weight, by=whitener: w * by(d[0]).ravel())  # type: ignore[misc]
+                apart, drawn = distances(model, rivals, lambda d, w=weight, by=whitener: w * by(d[0]).ravel())  # type: ignore[misc]
             except SimulationError:
                 continue
-            sigma = _new(apart, rivals)
+            sigma = _new(apart, rivals) if all(_near(p, case, observed) for (p,) in drawn) else 0.0
             if sigma > (SAME if best is None else best.separation_sigma):
                 best = NextExperiment(
                     case.setup, f"as {case.id}, with its input times {scale:g}", sigma, (a.id, b.id)
                 )
     return best
+
+
+def _near(prediction: FloatArray, case: Case, observed: Observed) -> bool:
+    """Return whether a prediction stays near what the runs of the same setup have shown of each signal."""
+    for name, course in zip((c.signal for c in case.channels), prediction, strict=True):
+        runs = [r for r in observed.runs if r.setup == case.setup and name in r.channels]
+        seen = [r.mean[r.channels.index(name)] for r in runs]
+        low, high = min(map(np.nanmin, seen)), max(map(np.nanmax, seen))
+        margin = _BEYOND * (high - low)
+        if course.min() < low - margin or course.max() > high + margin:
+            return False
+    return True
 
 
 def sensor_to_add(subject: Subject, alike: Sequence[Fitted], *, beyond: float = SAME) -> AddedSensor | None:
