@@ -72,12 +72,13 @@ from fmu_build.syntax import (
 
 Env = dict[str, Literal | None]  # loop variables: their value, or None if they remain
 _RANK = {"constant": 0, "parameter": 1, "discrete": 2}
+_ANIMATION = "Modelica.Utilities.Internal.PartialModelicaServices.Animation."
 _MOST_NESTED = 20  # components of one class inside each other
 _MOST_ELEMENTS = 20_000  # of an array of components
 
 
 class Absent:
-    """A conditional component whose condition is false."""
+    """A conditional component whose condition is false, or a shape of an animation, which an FMU does not show."""
 
 
 ABSENT = Absent()
@@ -210,10 +211,9 @@ class Resolver:
                                         fix="modify the inner one")  # fmt: skip
                 self._check_outer(slot, outer)
                 return outer
-        if component.condition is not None:
-            condition = self.expr(component.condition, slot.scope, {})
-            if not self.truth(condition, component.condition.at):
-                return ABSENT
+        test = component.condition
+        if test is not None and not self.truth(self.expr(test, slot.scope, {}), test.at):
+            return ABSENT
         prefix = root.class_name if root.path is None else root.path
         path = f"{prefix}.{name}" if prefix else name
         ref = self.world.find_class(slot.scope, component.type)
@@ -226,10 +226,12 @@ class Resolver:
             if component.subscripts:
                 single = self.world.instantiate(ref, slot.mod, path, root)
             return self._var(root, path, slot, single, ref)
-        if not component.subscripts:
-            self._settle(root, single, slot, path)
-            return single
-        return self._array(root, path, slot, ref)
+        if any(base.class_name.startswith(_ANIMATION) for base in single.all_bases()):
+            return ABSENT
+        if component.subscripts:
+            return self._array(root, path, slot, ref)
+        self._settle(root, single, slot, path)
+        return single
 
     def _check_component(self, path: str, component: ComponentDef, instance: Instance, root: Instance) -> None:
         """Refuse prefixes that only variables, records and connectors can have, and a class inside itself."""
@@ -1405,7 +1407,8 @@ class _Path:
         """
         e, part = self._e, self._e.parts[position]
         if isinstance(item, Absent):
-            raise ModelicaError(f"'{e.name}' is a conditional component that does not exist", where=e.at)
+            what = f"'{e.name}' is a conditional component that does not exist, or an animation"
+            raise ModelicaError(what, where=e.at)
         if isinstance(item, Many):
             return self._slice(item, position)
         if isinstance(item, Instance):

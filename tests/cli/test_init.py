@@ -250,8 +250,10 @@ def test_a_model_may_use_a_library_in_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmuid: Command
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("libraries").mkdir()
-    Path("libraries/Motors.mo").write_text(f"package Motors\n{WINDING}end Motors;\n")
+    Path("libraries/Motors").mkdir(parents=True)
+    Path("libraries/Motors/package.mo").write_text(
+        f'package Motors\n{WINDING}annotation(version = "1.2"); end Motors;\n'
+    )
     Path("Drive.mo").write_text("model Drive\n  extends Motors.Winding;\nend Drive;\n")
     write_square_wave("run.csv")
 
@@ -260,7 +262,9 @@ def test_a_model_may_use_a_library_in_another_folder(
     assert (code, lacking in err) == (2, True), err
     model = ("--model", "Drive.mo", "--root", "libraries")
     assert fmuid("init", "run.csv", *model, "--workers", "0")[0] == 0
-    assert 'roots = ["../libraries"]' in Path("campaign/campaign.toml").read_text()
+    written = Path("campaign/campaign.toml").read_text()
+    assert 'roots = ["../libraries"]' in written
+    assert 'libraries = { "Motors" = "1.2" }' in written
     assert fmuid("identify", "campaign", "--no-report", "--workers", "0")[0] == 0
 
     _, ports, _ = fmuid("effects", "Drive.mo", "--root", "libraries")

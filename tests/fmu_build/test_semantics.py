@@ -285,6 +285,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
         model Body outer World world; Real w = 2*world.g; end Body;
         model Inner2 inner World world(g = 4); Body body; end Inner2;
         model Cell outer Pin rail; Pin p; parameter Real R = 1; equation connect(p, rail); p.v = R*p.i; end Cell;
+        model Bank Pin rails[2]; Res d[2](R = {2, 3}); Pin out; equation connect(d.p, rails); for k in 1:2 loop connect(d[k].n, out); end for; end Bank;
         model Oil constant Real p0 = 1; function rho input Real p; output Real d; algorithm d := 870 + 2*(p - p0); end rho; end Oil;
         model Shift inner outer World world(g = 30); Body body; Real around = world.g; end Shift;
         model Vec In u[2]; Out y; equation y = u[1] + 10*u[2]; end Vec;
@@ -297,11 +298,12 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
           Src s; Ground g; Ladder l; Res open(R = 5); Option o; Option o2(extra = true); Gain g1(k = 3); Gain g2(k = 2);
           inner World world; Body body; Inner2 inner2; Vec vec; Sender sender; Receiver receiver; Choice ch; Choice ch1(kind = 1);
           inner Pin rail; Cell cells[2](R = {2, 3}); Src feed(V = 6); Ground earth;
-          Shift shift; Oil oil; Oil other(p0 = 3); Real rho = oil.rho(4) + 1000*other.rho(4);
+          Bank bank; Src supplies[2](V = {8, 9}); Shift shift; Oil oil; Oil other(p0 = 3); Real rho = oil.rho(4) + 1000*other.rho(4);
         equation
           connect(s.p, l.a); connect(l.b, s.n); connect(s.n, g.p); connect(s.p, open.p);
           connect(s.p, o.a); connect(o.b, g.p); connect(s.p, o2.a); connect(o2.b, g.p);
           g1.u = 5; connect(g1.y, g2.u); connect(g1.y, vec.u[1]); connect(g2.y, vec.u[2]); connect(sender.bus, receiver.bus);
+          connect(supplies.p, bank.rails); connect(supplies[1].n, bank.out); connect(supplies[2].n, bank.out); connect(bank.out, g.p);
           connect(feed.p, rail); connect(feed.n, earth.p);
         end M;
         """,
@@ -309,7 +311,7 @@ GROUPS: dict[str, tuple[str, dict[str, float]]] = {
             "l.a.i": 10 / 6, "l.r[2].v": 10 / 3, "l.r[3].p.v": 10 / 3, "open.i": 0, "open.n.v": 10, "o.r.i": 2.5,
             "o2.a.i": 5, "o2.e.i": 2.5, "s.i": -(10 / 6 + 2.5 + 5), "g.p.i": 0, "g2.y": 30, "vec.y": 315,
             "body.w": 18, "inner2.body.w": 8, "receiver.seen": 6, "receiver.a": 7, "receiver.set": 8, "ch.y": 22, "ch1.y": 1,
-            "cells[1].p.i": 3, "cells[2].p.i": 2, "feed.i": -5, "rho": 872876,
+            "cells[1].p.i": 3, "cells[2].p.i": 2, "feed.i": -5, "bank.d[2].i": 3, "supplies[1].i": -4, "rho": 872876,
             "shift.around": 9, "shift.body.w": 60,
         },
     ),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from fmu_build.model import CompiledModel
 from fmuid.core.errors import SimulationError
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
-from tests.conftest import MODELICA
+from tests.conftest import LIBRARY_FOLDERS, MODELICA, needs_the_library
 from tests.fmu_build.simulate import Instance, find, values
 
 HERE = Path(__file__).parent
@@ -183,3 +185,55 @@ def test_what_a_branch_prepares_for_an_error_is_not_evaluated(tmp_path):
     assert fmu.simulate(task, {})[0, -1] == 1.0
     with pytest.raises(SimulationError, match=r"P\.mo:6: the sum is 0\.5"):
         fmu.simulate(task, {"b": 2.0})
+
+
+# Models made of the library's packages, and what their equations give by hand.
+WITH_THE_LIBRARY = {
+    "a state graph": (
+        """import Modelica.StateGraph.*; inner StateGraphRoot stateGraphRoot; output Integer n(start = 0, fixed = true);
+        InitialStep s(nIn = 1, nOut = 1); StepWithSignal on(nIn = 1, nOut = 1); output Boolean active = on.active;
+        Transition a(enableTimer = true, waitTime = 0.5); Transition b(enableTimer = true, waitTime = 1);
+        equation connect(s.outPort[1], a.inPort); connect(a.outPort, on.inPort[1]); connect(on.outPort[1], b.inPort);
+        connect(b.outPort, s.inPort[1]); when active then n = pre(n) + 1; end when;""",
+        {"n": 2, "active": 1},
+    ),
+    "complex functions": (
+        """import Modelica.ComplexMath; function f input Complex a; output Complex b; output Real m; protected Complex t[2];
+        algorithm t := {a, a*a}; b := t[1] + t[2]*Complex(0, 1); m := ComplexMath.abs(b); end f;
+        Complex u = Complex(2, 1); Complex b; output Real m; output Real x = b.re; output Complex e = ComplexMath.exp(u)/u;
+        equation (b, m) = f(u);""",
+        {"x": -2, "m": abs(-2 + 4j), "e.im": (cmath.exp(2 + 1j) / (2 + 1j)).imag},
+    ),
+    "quasi-static circuits": (
+        """import Modelica.Electrical.QuasiStatic.SinglePhase.*; Sources.VoltageSource v(f = 50, V = 100, phi = 0);
+        Basic.Resistor r(R_ref = 10); Basic.Inductor l(L = 0.1/Modelica.Constants.pi); Basic.Ground g;
+        output Real re = l.i.re; output Real im = l.i.im;
+        equation connect(v.pin_p, r.pin_p); connect(r.pin_n, l.pin_p); connect(l.pin_n, v.pin_n); connect(g.pin, v.pin_n);""",
+        {"re": 5, "im": -5},
+    ),
+    "pipes, tanks and a pump": (
+        """import Modelica.Fluid.*; package Water = Modelica.Media.Water.ConstantPropertyLiquidWater; inner System system;
+        model Tank = Vessels.OpenTank(redeclare package Medium = Water, height = 200, nPorts = 1, use_portsData = false);
+        Tank a(crossArea = 1, level_start = 2); Tank b(crossArea = 1, level_start = 1); Tank c(crossArea = 0.1, level_start = 60);
+        model Linear = Pipes.BaseClasses.FlowModels.NominalLaminarFlow(dp_nominal = 1e4, m_flow_nominal = 10);
+        Pipes.StaticPipe pipe(redeclare package Medium = Water, length = 1, diameter = 0.1, redeclare model FlowModel = Linear);
+        Sources.FixedBoundary s(redeclare package Medium = Water, nPorts = 1, p = system.p_ambient);
+        function Curve = Machines.BaseClasses.PumpCharacteristics.quadraticFlow(V_flow_nominal = {0, 0.25, 0.5}, head_nominal = {100, 60, 0});
+        Machines.PrescribedPump pump(redeclare package Medium = Water, N_nominal = 1000, redeclare function flowCharacteristic = Curve);
+        Real level(start = 60, fixed = true); output Real pumped = c.level - level; output Real apart = a.level - b.level;
+        equation connect(a.ports[1], pipe.port_a); connect(pipe.port_b, b.ports[1]);
+        connect(s.ports[1], pump.port_a); connect(pump.port_b, c.ports[1]);
+        der(level) = (sqrt(120^2 + 640*(100 - level)) - 120)/320/0.1;""",
+        {"apart": math.exp(-2 * 9.80665e-3 * 2.5), "pumped": 0},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", WITH_THE_LIBRARY)
+def test_models_of_the_library(tmp_path, what):
+    needs_the_library()
+    body, ends = WITH_THE_LIBRARY[what]
+    (tmp_path / "M.mo").write_text(f"model M {body} end M;")
+    fmu = Fmu(build(tmp_path / "M.mo", "M", tmp_path, roots=LIBRARY_FOLDERS))
+    task = Task(np.linspace(0, 2.5, 11), {}, tuple(ends))
+    np.testing.assert_allclose(fmu.simulate(task, {})[:, -1], [*ends.values()], rtol=1e-5, atol=1e-5)
