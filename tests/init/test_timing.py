@@ -88,6 +88,18 @@ def test_the_time_from_inputs_to_readings_is_fitted(model: Fmu, share: float) ->
     assert convention.read_after == pytest.approx(share, abs=0.1)
 
 
+@pytest.mark.parametrize("size", [0.08, 0.24])
+def test_a_law_that_the_model_lacks_is_no_time_of_reading(model: Fmu, size: float) -> None:
+    """What acts with the sign of the speed leads by more than a step, and its errors change slowly."""
+    u = command()
+    x = model.simulate(Task(TIME, {"u": u}, ("x",)), {"R": 22.0, "C": 45.0, "G": 0.8})
+    y = noisy(x + size * np.ptp(x) * np.tanh(100.0 * np.gradient(x[0]) / np.ptp(x)), 1e-4)
+    seen = [SeenRun(model, Task(TIME, {"u": u}, ("x",)), y, in_process)]
+    assert not any(
+        c.read_after for c in timing_conventions(seen, [model.variables[n] for n in ("R", "C", "G")]) if c.explains
+    )
+
+
 @pytest.mark.parametrize(("interpolation", "timing"), [("hold", "held"), ("linear", "linear")])
 def test_the_convention_of_a_noisy_log_is_seen_from_sample_to_sample(model: Fmu, interpolation, timing) -> None:
     u = command()

@@ -90,6 +90,12 @@ class SeenRun:
         task = replace(self._task, interpolation=interpolation, **timing)
         return SeenRun(self._model, task, self._measured, self._runner, values=self._values, scale=self.scale)
 
+    def a_row_later(self) -> SeenRun:
+        """Return the same run if each row's outputs are those at the time of the next one."""
+        measured = np.full_like(self._measured, np.nan)
+        measured[:, 1:] = self._measured[:, :-1]
+        return SeenRun(self._model, self._task, measured, self._runner, values=self._values, scale=self.scale)
+
     def _at(self, values: Mapping[str, float]) -> SeenRun:
         """Return the same run with these values of parameters, relative to the same ranges."""
         return SeenRun(self._model, self._task, self._measured, self._runner, values=values, scale=self.scale)

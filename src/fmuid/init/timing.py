@@ -266,6 +266,7 @@ def _most_likely_gap(changes: FloatArray, moves: FloatArray) -> tuple[int, float
 def _read_later(held: Sequence[SeenRun], free: Sequence[Variable]) -> list[Convention]:
     """Return held inputs with outputs read a part of a step after them, if that explains every run better.
 
+    Where readings more than a step later explain the runs better still, it is the model that is late: none.
     A linear step from held signals would not do: the refitted parameters have moved to imitate later readings.
     """
     step = min(float(np.min(np.diff(one.time))) for one in held)
@@ -286,6 +287,10 @@ def _read_later(held: Sequence[SeenRun], free: Sequence[Variable]) -> list[Conve
             around = [(0.0, *_SHARES)[k] for k in (best - 1, best, best + 1)]
             bend, slope, _ = np.polyfit(around, sums[best - 1 : best + 2], 2)
             tried(float(-0.5 * slope / bend) if bend > 0.0 else around[1])
+        elif best:
+            more = [timed(one.a_row_later(), Convention("held", read_after=_SHARES[0] * step)) for one in held]
+            if sum(one.refitted(free).left * (1 + 1 / len(one.time)) for one in more) < sums[-1]:
+                return []
     except FmuidError:  # an FMU with a fixed step
         return []
     share = min(squares, key=lambda one: sum(squares[one]))
@@ -324,7 +329,20 @@ def _roughness(run: SeenRun) -> FloatArray:
 
 
 def _evidence(held: SeenRun, other: SeenRun) -> float:
-    """Return the log likelihood ratio of two responses to one run, from changes between samples."""
+    """Return the log likelihood ratio of two responses to one run, from changes between samples.
+
+    Where a law is missing, changes are like those before them: as a first-order autoregression, they count less.
+    """
     count = np.sum(np.isfinite(np.diff(held.errors, axis=1)), axis=1)
     floor = 1e-12 * count  # changes far below the range of an output
-    return float(np.sum(0.5 * count * np.log((_roughness(held) + floor) / (_roughness(other) + floor))))
+    alike = np.clip(np.minimum(_alike(held), _alike(other)), 0.0, 1.0)
+    count = 0.5 * count * (1.0 - alike) / (1.0 + alike)
+    return float(np.sum(count * np.log((_roughness(held) + floor) / (_roughness(other) + floor))))
+
+
+def _alike(run: SeenRun) -> FloatArray:
+    """Return the correlation of each output's change of the error with the change before it."""
+    changes = np.nan_to_num(np.diff(run.errors, axis=1))
+    return np.asarray(
+        np.sum(changes[:, 1:] * changes[:, :-1], axis=1) / np.maximum(np.sum(changes**2, axis=1), 1e-300)
+    )
