@@ -59,18 +59,18 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
     """Return the campaign with the timing that explains what the diagnosis blames on signals, and a note.
 
     That is a lag or delay of less than a sample, or crosstalk of an input: one that acts otherwise between its
-    samples looks like it. None if the diagnosis has neither, or if no other timing explains it.
+    samples looks like it, and it undoes a time of reading that a missing law imitates. Timings are judged with the
+    laws of the answer. None if the diagnosis has neither, or if no other timing explains it.
     """
-    setups = {}
-    for setup in dict.fromkeys(case.setup for case in outcome.subject.model.cases):
-        cases = [case for case in outcome.subject.model.cases if case.setup == setup]
-        if not _may_be_timing(outcome, cases):
+    setups, model = {}, outcome.subject.model
+    names = {without_owner(u.name) for u in outcome.subject.nominal}
+    for setup in dict.fromkeys(case.setup for case in model.cases):
+        if not _may_be_timing(outcome, [case for case in model.cases if case.setup == setup]):
             continue
-        values = {**outcome.subject.model.fixed, **{u.name: u.start for u in outcome.subject.nominal}}
-        names = {without_owner(u.name) for u in outcome.subject.nominal}
-        convention = chosen(conventions_of(cases, values, names, runner))
-        known = campaign.models[setup]
-        if convention.explains and (convention.timing, convention.read_after) != (known.timing, known.read_after):
+        cases = [(c, v) for c, v in model.with_laws(outcome.corrected.fit.values) if c.setup == setup]
+        convention, known = chosen(conventions_of(cases, names, runner)), campaign.models[setup]
+        differs = (convention.timing, convention.read_after) != (known.timing, known.read_after)
+        if differs and (convention.explains or known.read_after):
             setups[setup] = convention
     if not setups:
         return None
@@ -82,8 +82,10 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
         names_of = {campaign.models[setup].variable(n): n for e in campaign.measurements for n in e.outputs}
         timings |= {names_of.get(variable, variable): t for variable, t in convention.signals.items()}
     note = "; ".join(
-        f"'{setup}' was diagnosed with {c.entries} instead of \"{campaign.models[setup].timing}\", which"
-        f" explains the runs {c.worse:.2g} times better than held signals; write it in campaign.toml"
+        f"'{setup}' was diagnosed with {c.entries} instead of \"{campaign.models[setup].timing}\", which explains"
+        f" the runs {c.worse:.2g} times better than held signals; write it in campaign.toml"
+        if c.explains
+        else f"'{setup}' was diagnosed without read_after: laws explain what it did; remove it in campaign.toml"
         for setup, c in setups.items()
     )
     return replace(campaign, models=models, timings=timings), note

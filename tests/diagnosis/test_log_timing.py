@@ -12,6 +12,7 @@ from fmu_build import build
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
+from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis_pipeline import _begin_as_modelled, with_starts_of_runs, with_timing_of_log
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.fmu import load_fmu
@@ -41,6 +42,28 @@ C = { start = 50.0, lower = 5.0, upper = 500.0 }
 TIME = np.arange(0.0, 200.0, 1.0)
 
 
+def retimed(tmp_path: Path, answer: dict[str, float], timing: str, after: tuple[str, ...] = ()):
+    """What is made of the timing of a log that was written in some way, where a diagnosis has an answer."""
+    (tmp_path / "Heater.mo").write_text(MODEL)
+    model = load_fmu(build(tmp_path / "Heater.mo", "Heater", tmp_path, "2"))
+    random = np.random.default_rng(4)
+    u = np.repeat(random.uniform(2.0, 24.0, 25), 8)
+    y = model.simulate(Task(TIME, {"u": u}, ("i", "x"), after=after), {"R": 22.0, "C": 45.0})
+    y += 0.01 * np.ptp(y, axis=1, keepdims=True) * random.normal(size=y.shape)
+    signals = {n: Signal(n, row, "1", "output") for n, row in zip(("i", "x"), y, strict=True)}
+    run = Experiment("run", "bench", TIME, {"u": Signal("u", u, "1", "input"), **signals})
+    write_measurements(Measurements({"run": run}), tmp_path / "measurements.h5")
+    (tmp_path / "campaign.toml").write_text(TOML.replace('"linear"', timing))
+    campaign = load_campaign(tmp_path)
+    cases = from_campaign(campaign, list(campaign.measurements), (), {"bench": model})
+    nominal = [SimpleNamespace(name=n, start=campaign.parameters[n].start) for n in ("R", "C")]
+    diagnosed = SimpleNamespace(
+        subject=SimpleNamespace(model=CampaignModel(tuple(cases)), nominal=nominal),
+        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, **answer})),
+    )
+    return with_timing_of_log(campaign, diagnosed, in_process)
+
+
 @pytest.mark.parametrize(
     ("effect", "value", "timing"),
     [
@@ -54,30 +77,19 @@ TIME = np.arange(0.0, 200.0, 1.0)
 def test_what_the_timing_of_the_log_explains(
     effect: str, value: float, timing: str | None, tmp_path: Path
 ) -> None:
-    (tmp_path / "Heater.mo").write_text(MODEL)
-    model = load_fmu(build(tmp_path / "Heater.mo", "Heater", tmp_path, "2"))
-    random = np.random.default_rng(4)
-    u = np.repeat(random.uniform(2.0, 24.0, 25), 8)
-    y = model.simulate(Task(TIME, {"u": u}, ("i", "x"), after=("i", "x")), {"R": 22.0, "C": 45.0})
-    y += 0.01 * np.ptp(y, axis=1, keepdims=True) * random.normal(size=y.shape)
-    signals = {n: Signal(n, row, "1", "output") for n, row in zip(("i", "x"), y, strict=True)}
-    run = Experiment("run", "bench", TIME, {"u": Signal("u", u, "1", "input"), **signals})
-    write_measurements(Measurements({"run": run}), tmp_path / "measurements.h5")
-    (tmp_path / "campaign.toml").write_text(TOML)
-    campaign = load_campaign(tmp_path)
-    cases = from_campaign(campaign, list(campaign.measurements), (), {"bench": model})
-    nominal = [SimpleNamespace(name=n, start=campaign.parameters[n].start) for n in ("R", "C")]
-    diagnosed = SimpleNamespace(
-        subject=SimpleNamespace(model=SimpleNamespace(cases=cases, fixed={}), nominal=nominal),
-        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, effect: value})),
-    )
-    retimed = with_timing_of_log(campaign, diagnosed, in_process)
+    changed = retimed(tmp_path, {effect: value}, '"linear"', after=("i", "x"))
     if timing is None:
-        assert retimed is None
+        assert changed is None
     else:
-        assert retimed is not None
-        assert retimed[0].models["bench"].timing == timing
-        assert '\'bench\' was diagnosed with timing = "held-read-after" instead of "linear"' in retimed[1]
+        assert changed is not None
+        assert changed[0].models["bench"].timing == timing
+        assert '\'bench\' was diagnosed with timing = "held-read-after" instead of "linear"' in changed[1]
+
+
+def test_a_time_of_reading_that_a_delay_undoes_is_none(tmp_path: Path) -> None:
+    campaign, note = retimed(tmp_path, {"x.delay": 0.4}, '"held"\nread_after = 0.4')
+    assert (campaign.models["bench"].timing, campaign.models["bench"].read_after) == ("held", 0.0)
+    assert note == "'bench' was diagnosed without read_after: laws explain what it did; remove it in campaign.toml"
 
 
 def test_start_states_are_not_tried_through_sensors_with_a_model():

@@ -284,6 +284,12 @@ class CampaignModel:
         tied = {name: e(every) for name, e in self.tie.items() if name in case.simulator.variables}
         return {**starts, **case.start_values(values), **tied}
 
+    def with_laws(self, values: Mapping[str, float]) -> list[tuple[Case, dict[str, float]]]:
+        """Return the cases with the laws in their models, but no effects on signals, and what is set on these."""
+        plain, _ = self._split(values)
+        placed = [(case, self.start_values(case, plain)) for case in self.cases_at(values)]
+        return [(replace(case, simulator=self._simulator(case, starts)), starts) for case, starts in placed]
+
     def _placed(self, case: Case, plain: Mapping[str, float], signal: Effects) -> tuple[dict[str, float], Effects]:
         """Return the start values of a case, and the effects on signals that act outside its simulator.
 

@@ -178,7 +178,7 @@ def _band_limited(run: SeenRun) -> bool:
 
 
 def conventions_of(
-    cases: Sequence[Case], values: Mapping[str, float], names: Collection[str], runner: Runner
+    cases: Sequence[tuple[Case, Mapping[str, float]]], names: Collection[str], runner: Runner
 ) -> tuple[Convention, ...]:
     """Judge the conventions for cases of one model, as `timing_conventions` does for runs; only held if it cannot.
 
@@ -186,22 +186,23 @@ def conventions_of(
 
     Parameters
     ----------
-    values
-        Values of the campaign's parameters, from which the refits start.
+    cases
+        Cases with the values of the model's variables from which the refits start.
     names
         Names of the parameters to refit.
     """
-    plain = [c for c in cases if not c.lead and all(ch.plain for ch in c.channels)]
-    plain = [c for c in plain if not isinstance(c.simulator, Segmented)][:_MOST_RUNS]
+    plain = [(c, values) for c, values in cases if not c.lead and all(ch.plain for ch in c.channels)]
+    plain = [(c, values) for c, values in plain if not isinstance(c.simulator, Segmented)][:_MOST_RUNS]
     if not plain:
         return (Convention("held"),)
-    model, seen = plain[0].simulator, []
-    for case in plain:
+    seen = []
+    for case, values in plain:
         measured = np.array([channel.mean for channel in case.channels])
         task = replace(case.task, interpolation="hold", linear=(), band_limited=(), after=(), read_after=0.0)
-        seen.append(SeenRun(model, task, measured, runner, values=case.start_values(values)))
-    variables = {variable for n, (variable, _) in plain[0].setting.items() if n in names}
-    free = [v for v in model.variables.values() if v.name in variables and v.start]
+        seen.append(SeenRun(case.simulator, task, measured, runner, values=values))
+    first = plain[0][0]
+    variables = {variable for n, (variable, _) in first.setting.items() if n in names}
+    free = [v for v in first.simulator.variables.values() if v.name in variables and v.start]
     return timing_conventions(seen, free)
 
 
