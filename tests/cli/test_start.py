@@ -48,6 +48,20 @@ def test_a_campaign_is_replaced_only_if_asked_for(
     fmuid.start(frame, oscillator, replace=True, say=lambda _: None)
 
 
+def test_a_run_is_not_kept_for_validation_if_another_would_be_alone_in_its_direction(
+    folder: Path, oscillator: Path, measurements: Measurements
+) -> None:
+    frame = next(iter(measurements)).to_frame()
+    column = next(c for c in frame.columns if c.startswith("u "))
+    for sizes, kept in (
+        ((1.0, -1.0, 0.8, -0.8), ()),
+        ((1.0, 0.9, -1.0, 0.8), ("e3",)),
+        ((1.0, 0.9, 0.8), ("e2",)),
+    ):
+        frames = {f"e{k}": frame.assign(**{column: size * frame[column]}) for k, size in enumerate(sizes)}
+        assert fmuid.start(frames, oscillator, replace=True, say=lambda _: None).validation == kept
+
+
 def test_what_is_no_log_is_one_line(folder: Path, oscillator: Path) -> None:
     with pytest.raises(fmuid.FmuidError, match="'int' is not a data frame"):
         fmuid.start({"a": 3}, oscillator)

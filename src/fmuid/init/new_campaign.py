@@ -43,6 +43,8 @@ _TIMINGS = {
     "held-read-after": "inputs are held between their samples, and outputs are read just after they act",
 }
 _NEAR, _FAR = 10.0, 300.0  # factors to the start value within which a parameter is searched
+_FEW = 4  # runs for the fit: with fewer, too little is left to predict one of them from
+_BEYOND = 0.5  # share of the range of an input in other runs by which a run may exceed it
 _MAX_NAMES = 8  # fixed parameters named in one line
 
 
@@ -73,7 +75,7 @@ def new_campaign(
 
     Columns are matched with the FMU's inputs and outputs by name or, if unique, by unit. See
     `fmuid.init.first_choice` for the choice of free parameters and input interpolation. The last run is kept
-    for validation.
+    for validation, unless one of few others would then be the only one in its range of an input.
 
     Parameters
     ----------
@@ -271,10 +273,26 @@ def _by_model_exchange(model: Fmu | CoupledModel) -> Fmu | None:
 def _for_identification(runs: Mapping[str, Experiment]) -> list[Experiment]:
     """Return all runs but the last one, without repeats.
 
-    With fewer than three, all are returned: a diagnosis leaves each out in turn and needs another to learn from.
+    All are returned if fewer than three are recorded: a diagnosis leaves each out in turn and needs another to
+    learn from. So they are if few would be left, and one of these would be alone, such as in its direction.
     """
     firsts = [run for run in runs.values() if not run.repeats_another]
-    return firsts[:-1] if len(firsts) > 2 else firsts
+    left = firsts[:-1]
+    return firsts if len(left) < 2 or (len(left) < _FEW and _alone(left) - _alone(firsts)) else left
+
+
+def _alone(runs: Sequence[Experiment]) -> set[str]:
+    """Return the runs with an input that the others are far from."""
+    alone = set()
+    for run in runs:
+        for name, signal in run.inputs.items():
+            others = [u.inputs[name].values for u in runs if u is not run and name in u.inputs]
+            if others:
+                low, high = min(u.min() for u in others), max(u.max() for u in others)
+                margin = _BEYOND * (high - low)
+                if signal.values.min() < low - margin or signal.values.max() > high + margin:
+                    alone.add(run.id)
+    return alone
 
 
 def _choice_lines(choice: FirstChoice, driven: bool) -> list[str]:

@@ -80,7 +80,8 @@ def start(
     """Create a campaign from recorded runs and a model, as ``fmuid init`` does, and return it.
 
     Columns are matched with the model's inputs and outputs by name or unit. Parameters that the runs determine are
-    free. With three or more runs, the last one is kept for validation.
+    free. With three or more runs, the last one is kept for validation, unless one of few others would then be the
+    only one in its range of an input.
 
     Parameters
     ----------
