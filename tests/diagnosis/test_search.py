@@ -209,9 +209,9 @@ def test_an_effect_that_a_quick_search_gains_nothing_with_is_refitted_from_neutr
     scores = sorted(score_further(subject, nominal), key=lambda s: s.effect)
     begun = {}
 
-    def approached(subject, fitted, score):
+    def approached(subject, fit, score):
         worse = score.effect not in ("law1", "law2")
-        return fitted.fit.cost * (1.1 if worse else 0.5), {**fitted.fit.values, score.effect: 0.7}
+        return fit.cost * (1.1 if worse else 0.5), {**fit.values, score.effect: 0.7}
 
     def added(subject, fitted, score, starts, rival):
         begun[score.effect] = starts[0][score.effect]
@@ -234,7 +234,7 @@ def test_a_quick_search_begins_twice_only_if_both_starts_promise_something(monke
     best_start = lambda subject, points, basis: (points[0], next(costs) * nominal.fit.cost)  # noqa: E731
     monkeypatch.setattr(candidates, "_best_start", best_start)
     monkeypatch.setattr(candidates, "approach", lambda subject, unknowns, starts: begun.extend(starts))
-    approach_effect(subject, nominal, score)
+    approach_effect(subject, nominal.fit, score)
     assert len(begun) == searches
 
 

@@ -139,3 +139,13 @@ def test_a_curved_line_is_no_other_law(tmp_path):
     text = made_catalogue(campaign(tmp_path, curved), load_simulator)
     effect = tomllib.loads(text)["effects"]["varies@G(time)"]
     assert "G.varies.time_bend" in effect["expression"]
+
+
+@pytest.mark.parametrize(("change", "at", "law"), [(-0.56, 2400.0, "tanh"), (-0.3, None, "_bend")])
+def test_laws_that_small_changes_do_not_tell_apart_are_refitted(tmp_path, change, at, law):
+    def changed(_value, _wind, time):
+        share = time / 4780.0 if at is None else 0.5 + 0.5 * np.tanh((time - at) / 150.0)
+        return 20.0 * (1.0 + change * share)
+
+    effects = tomllib.loads(made_catalogue(campaign(tmp_path, changed), load_simulator))["effects"]
+    assert law in effects["varies@G(time)"]["expression"]

@@ -13,7 +13,7 @@ from fmuid.core.toml_tables import toml_text
 from fmuid.core.units import conversion
 from fmuid.simulation.simulator import Variable
 
-_HEAD = """\
+HEAD = """\
 format = "fmuid-effects"
 version = 1
 """
@@ -115,7 +115,7 @@ def signal_catalogue(setups: Sequence[RecordedSetup]) -> str:
             if sizes := _sizes(law, s, others, step, duration):
                 effects += _effect(s.name, law, description.format(s.name), source, sizes)
     note = ["# ---- regimes: variables of the model along which a gap is examined, in addition to time ----", ""]
-    return "\n".join([_HEAD, *ports, *note, *regimes, *effects])
+    return "\n".join([HEAD, *ports, *note, *regimes, *effects])
 
 
 class _Signal(NamedTuple):

@@ -384,17 +384,24 @@ def add_effect(
     by_id = subject.by_id
     effect = by_id[score.effect]
     effects = [*(by_id[name] for name in fitted.effects), effect]
-    begins = starts or _starts(subject, fitted, score)
+    begins = starts or _starts(subject, fitted.fit, score)
     added = fit_effects(subject, effects, begins, rival=rival) if begins else None
     if added is None or added.fit.cost > fitted.fit.cost:  # at neutral values it is no worse than without
         added = fit_effects(subject, effects, [{**fitted.fit.values, **effect.neutral}])
     return added
 
 
-def approach_effect(subject: Subject, fitted: Fitted, score: Score) -> tuple[float, Mapping[str, float]] | None:
-    """Return where a quick search with the scored effect added ends; see `approach`."""
-    unknowns = (*fitted.fit.unknowns, *subject.by_id[score.effect].unknowns)
-    return approach(subject, unknowns, _starts(subject, fitted, score))
+def approach_effect(subject: Subject, fit: Refit, score: Score) -> tuple[float, Mapping[str, float]] | None:
+    """Return where a quick search with the scored effect added to a refit ends; see `approach`."""
+    unknowns = (*fit.unknowns, *subject.by_id[score.effect].unknowns)
+    return approach(subject, unknowns, _starts(subject, fit, score))
+
+
+def costs_with(subject: Subject, fit: Refit) -> dict[str, float]:
+    """Return the cost that a quick search with each effect of the subject added to a refit leaves, by id."""
+    scores = score_effects(subject.model.predict, subject.observed, fit, subject.effects)
+    ends = {s.effect: approach_effect(subject, fit, s) for s in scores}
+    return {name: fit.cost if end is None else min(end[0], fit.cost) for name, end in ends.items()}
 
 
 def approach(
@@ -410,23 +417,23 @@ def promising(ends: Iterable[_End]) -> list[_End]:
     return [end for k, end in enumerate(ordered) if k < _CAREFUL or end[0] <= about(ordered[0][0])]
 
 
-def _starts(subject: Subject, fitted: Fitted, score: Score) -> list[Mapping[str, float]]:
-    """Return where to begin with the scored effect added to `fitted`.
+def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, float]]:
+    """Return where to begin with the scored effect added to `fit`.
 
     Parameters refitted without the effect may have shifted to imitate it, so the campaign's start values are tried
-    as well. The worse of the two counts only if a step from there promises to leave less than `fitted` does.
+    as well. The worse of the two counts only if a step from there promises to leave less than `fit` does.
     """
     effect = subject.by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
     factor = float(np.clip(score.scale, -_SIZE[1] if effect.two_sided else _SIZE[0], _SIZE[1]))
     sizes = [effect.scaled(score.trial, factor), *({**effect.neutral, **trial} for trial in score.trials)]
-    unbent = {**fitted.fit.values, **subject.starts}
-    basis = nominal_basis(fitted.fit, subject.observed)
+    unbent = {**fit.values, **subject.starts}
+    basis = nominal_basis(fit, subject.observed)
     starts = sorted(
-        (_best_start(subject, [{**at, **size} for size in sizes], basis) for at in (fitted.fit.values, unbent)),
+        (_best_start(subject, [{**at, **size} for size in sizes], basis) for at in (fit.values, unbent)),
         key=lambda start: start[1],
     )
-    enough = (np.inf, fitted.fit.cost)
+    enough = (np.inf, fit.cost)
     return [start for (start, cost), most in zip(starts, enough, strict=True) if cost < most]
 
 

@@ -273,7 +273,7 @@ def _added(
     approached = []
     for k, score in enumerate(scores):
         say(f"trying {score.effect}", 0.4 * k / len(scores))
-        if (end := approach_effect(subject, fitted, score)) is not None:
+        if (end := approach_effect(subject, fitted.fit, score)) is not None:
             approached.append((*end, score))
     best = promising(approached)
     gaining = [one for one in approached if one[2].effect in early and about(one[0]) < fitted.fit.cost]

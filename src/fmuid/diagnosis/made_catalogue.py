@@ -14,14 +14,14 @@ import numpy as np
 from fmu_build.cache import remove_unused, user_cache
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import Port, find_ports, held_parameters
-from fmuid.campaigns.signal_catalogue import RecordedSetup, signal_catalogue
+from fmuid.campaigns.signal_catalogue import HEAD, RecordedSetup, signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError
 from fmuid.core.experiments import Experiment
 from fmuid.core.files import write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import SCHEMAS, read_toml, toml_document, toml_text
-from fmuid.diagnosis.candidates import refit_only
+from fmuid.diagnosis.candidates import costs_with, refit_only
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.subject import Subject, subject_of
 from fmuid.diagnosis.variants import (
@@ -391,8 +391,16 @@ def made_catalogue(
     text = catalogue_text(_merged(parts), held, signals)
     if fit is None:
         return text
+
+    def costs(lines: Sequence[str]) -> dict[str, float]:
+        alone = "\n".join([catalogue_text([], {}, HEAD), *lines])
+        spec = replace(_spec(campaign), catalogue=_in_cache(alone))
+        built = with_catalogue(replace(campaign, effects=spec), load, runner=runner)
+        return costs_with(subject_of(built, load, runner=runner), fit)
+
     varying: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **states}
-    return "\n".join([text, *varying_lines(subject, fit, campaign, varying, tomllib.loads(text)["ports"])])
+    known = tomllib.loads(text)["ports"]
+    return "\n".join([text, *varying_lines(subject, fit, campaign, varying, known, costs=costs)])
 
 
 def _parameters(setup: _Setup | None, simulator: Simulator) -> dict[str, str]:

@@ -8,7 +8,7 @@ effects.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -32,7 +32,7 @@ from fmuid.diagnosis.scores import SEEN, nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
 from fmuid.effects.effect import Effect
-from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws
+from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws, varying_id
 from fmuid.identification.problem.cases import LOGGED, logged
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearResponse
@@ -136,6 +136,11 @@ class Scored:
         """What it depends on, as in ids."""
         return WARMTH if self.law.memory else self.source.name
 
+    @property
+    def id(self) -> str:
+        """The effect's id, which does not tell the shape."""
+        return varying_id(self.coefficient.name, self.over)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
@@ -178,8 +183,12 @@ def varying_lines(
     campaign: Campaign,
     models: Mapping[str, FlatModel | Fmu],
     known: Mapping[str, object],
+    *,
+    costs: Callable[[Sequence[str]], Mapping[str, float]],
 ) -> list[str]:
     """Return the entries of a catalogue for the coefficients that seem to vary; none if there is no gap.
+
+    Laws of one coefficient that the responses to small changes do not tell apart are refitted.
 
     Parameters
     ----------
@@ -191,10 +200,24 @@ def varying_lines(
         The flat models of setups that have a source, and the FMUs of others that offer model exchange.
     known
         Names of the places that the catalogue already has.
+    costs
+        Entries of a catalogue -> the cost that a refit with each effect leaves, by id.
     """
     if gap(nominal.residuals, subject.observed) <= GAP_THAT_MATTERS:
         return []
-    chosen, among = scored(subject, campaign, models, nominal)
+    groups, among = scored(subject, campaign, models, nominal)
+    several = [group for group in groups if len(group) > 1]
+    if several:
+        left = [costs(_lines(subject, [group[k] for group in several], among, {})) for k in (0, -1)]
+        size = stack(nominal.residuals, subject.observed).size
+        for group in several:
+            first, other = (of[group[0].id] for of in left)
+            group[:] = group[-1:] if first - other > _relevant(first - size) else group[:1]
+    return _lines(subject, [one for (one,) in groups], among, known)
+
+
+def _lines(subject: Subject, chosen: Sequence[Scored], among: int, known: Mapping[str, object]) -> list[str]:
+    """Return the entries of a catalogue."""
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     lines: list[str] = []
     for name, unit in {
@@ -223,10 +246,10 @@ def _from(one: Scored) -> Law:
 
 def scored(
     subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], nominal: Refit
-) -> tuple[list[Scored], int]:
+) -> tuple[list[list[Scored]], int]:
     """Return the dependences that explain more of the residual than noise would, best first.
 
-    Also return how many were compared.
+    Each has one law, or two that refits have to choose from. Also return how many laws were compared.
     """
     setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
@@ -246,17 +269,17 @@ def scored(
     pairs.sort(key=lambda pair: -_largest(pair[1]))
     least = 0.5 * _SHARE * _largest(pairs[0][1])
     beyond = float(residual @ residual) - residual.size
-    best_scored = []
+    groups = []
     for having, every in (pair for pair in pairs[: 2 * _MOST] if _largest(pair[1]) >= least):
         by_source = [[s for s in every if s.source is source] for source in dict.fromkeys(s.source for s in every)]
         shaped = [s for of in by_source for s in _shaped(subject, having, of, basis=basis, residual=residual)]
-        best_scored.append(_simplest(shaped, beyond))
-    best_scored.sort(key=lambda s: -s.drop)
+        groups.append(_simplest(shaped, beyond))
+    groups.sort(key=_largest, reverse=True)
     (prediction,) = subject.model.predict([nominal.values])
     assert not isinstance(prediction, SimulationError)
-    null = draw_noise(observed, prediction).null(basis, [s.signature for s in best_scored])
-    least = max(_MARGIN * null.threshold(), _SHARE * best_scored[0].drop)
-    return [s for s in best_scored if s.drop >= least][:_MOST], among
+    null = draw_noise(observed, prediction).null(basis, [s.signature for group in groups for s in group])
+    least = max(_MARGIN * null.threshold(), _SHARE * _largest(groups[0]))
+    return [group for group in groups if _largest(group) >= least][:_MOST], among
 
 
 def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) -> _Setup | None:
@@ -477,17 +500,25 @@ def _further(value: float, step: float, least: float, most: float) -> float:
     return float(np.exp(moved)) if least > 0.0 else moved
 
 
-def _simplest(scored: Sequence[Scored], beyond: float) -> Scored:
+def _relevant(left: float) -> float:
+    """Return the fall of the cost that a later law of the library has to reach where an earlier one has `left`."""
+    return max(_CLOSES * left, SEEN**2)
+
+
+def _simplest(scored: Sequence[Scored], beyond: float) -> list[Scored]:
     """Return the first law of the library that leaves hardly more than later ones of what is beyond the noise.
 
-    The response to a change c differs from its linear part by about c/2 of that: by so much laws have to differ.
+    The response to a change c differs from its linear part by about c/2 of that. If it matters which of two laws
+    is better, and they differ by less, both are returned.
     """
-    best = scored[0]
-    for one in scored[1:]:
-        left = max(beyond - best.drop, 0.0)
-        if one.drop > best.drop + max(_CLOSES * left, SEEN**2, (0.5 * one.change) ** 2 * one.drop):
-            best = one
-    return best
+    chosen: list[Scored] = []
+    for curved in (0.5, 0.0):
+        best = scored[0]
+        for one in scored[1:]:
+            if one.drop > best.drop + max(_relevant(beyond - best.drop), (curved * one.change) ** 2 * one.drop):
+                best = one
+        chosen += [best] if best not in chosen else []
+    return chosen
 
 
 def _suits(law: Law, source: Source) -> bool:

@@ -175,6 +175,11 @@ class Dependence:
     among: int = 1
 
 
+def varying_id(parameter: str, over: str) -> str:
+    """Return the id of the effect that a parameter varies over something, whatever the shape of the law."""
+    return f"varies@{parameter}({over})"
+
+
 def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = None) -> list[str]:
     """Return the lines of a catalogue for a law at a place; of a coefficient that varies `over` something."""
     port, sizes = place.port, place.sizes
@@ -182,7 +187,7 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
     if over is not None:
         name = name.partition("_")[0]
         base = f"{port.name.replace(':', '.')}.{name}.{re.sub(r'[^A-Za-z0-9]+', '_', over.name).strip('_')}"
-        id, words = f"{name}@{port.name}({over.name})", f"{words} {over.name}"
+        id, words = varying_id(port.name, over.name), f"{words} {over.name}"
     parameter_names = {key: base if key == "size" else f"{base}_{key}" for key in law.parameters}
 
     def value(text: str) -> float:
