@@ -14,6 +14,7 @@ import numpy as np
 from fmu_build.cache import remove_unused, user_cache
 from fmu_build.flat_model import FlatModel
 from fmu_build.model_ports import Port, find_ports, held_parameters
+from fmu_build.model_ports import places as find_places
 from fmuid.campaigns.signal_catalogue import HEAD, RecordedSetup, signal_catalogue
 from fmuid.core.campaign import Campaign, EffectsSpec, ModelSource, ModelSpec, ParameterSpec
 from fmuid.core.errors import CampaignError
@@ -290,9 +291,12 @@ def with_catalogue(
         spec = replace(_spec(campaign), catalogue=_in_cache(text))
         catalogue = load_catalogue(spec.file)
     carriers, models = {}, dict(campaign.models)
+    ports = {e.port for e in catalogue.effects.values() if e.expression}
+    having = [name for name, setup in setups.items() if ports & find_places(setup.flat).keys()] or [*setups]
     for name, setup in setups.items():
         plain = built_model(setup.source)
-        carriers[plain.stem] = carrier(setup.source, catalogue).stem
+        if name in having:
+            carriers[plain.stem] = carrier(setup.source, catalogue).stem
         models[name] = replace(setup.model, fmu=plain)
     for name, fmu in exchanged(campaign).items():
         effects = catalogue.effects.values()
