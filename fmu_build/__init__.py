@@ -6,21 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fmu_build.build import build, check_tools
+from fmu_build.build import build, check_tools, load
 
 if TYPE_CHECKING:
     from fmu_build.flat_model import FlatModel
     from fmu_build.model import CompiledModel
 
 __all__ = ["build", "compile_flat", "compile_modelica", "load"]
-
-
-def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
-    """Flatten a Modelica class; see `fmu_build.front.flatten.load`."""
-    check_tools()
-    from fmu_build.front.flatten import load as load_
-
-    return load_(file, class_name, roots)
 
 
 def compile_flat(flat: FlatModel) -> CompiledModel:

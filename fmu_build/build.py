@@ -10,15 +10,18 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from fmu_build.errors import BuildError, ModelicaError
 from fmu_build.front.standard_folders import standard_folders
 from fmu_build.sources import source_files
+
+if TYPE_CHECKING:
+    from fmu_build.flat_model import FlatModel
 
 Compiler = Literal["own", "omc"]
 
@@ -85,7 +88,6 @@ def build(
         raise BuildError(what, where=out, fix="choose a folder that can be written") from None
     if compiler == "own":
         from fmu_build.compiler import compile_flat
-        from fmu_build.front.flatten import load
         from fmu_build.packaging import package
 
         flat = load(file, class_name, folders)
@@ -100,13 +102,8 @@ def build(
     else:
         raise BuildError(f"no Modelica compiler {compiler!r}", fix="choose own or omc")
     partial = stamp.with_name(f".{stamp.name}.{os.getpid()}")
-    record: dict[str, Any] = {
-        "options": options,
-        "fmu": _digest(built),
-        "files": {str(p.resolve()): _digest(p) for p in read},
-    }
-    record["libraries"] = libraries
-    record["beside"] = _beside(record["files"], folders)
+    record: dict[str, Any] = {"options": options, "fmu": _digest(built), "libraries": libraries}
+    record |= _sources(read, folders)
     partial.write_text(json.dumps(record))
     partial.replace(stamp)
     return built
@@ -161,21 +158,44 @@ def _is_current(stamp: Path, target: Path, options: str) -> bool:
         return False
     try:
         record = json.loads(stamp.read_text())
-        files, beside = record["files"], record["beside"]
-        return (
-            record["options"] == options
-            and record["fmu"] == _digest(target)
-            and all(Path(p).is_file() and _digest(Path(p)) == digest for p, digest in files.items())
-            and all(_names(Path(folder)) == names for folder, names in beside.items())
-        )
+        made = record["options"] == options and record["fmu"] == _digest(target)
+        return made and _unchanged(record)
     except (ValueError, TypeError, KeyError, AttributeError):
         return False
 
 
-def _beside(files: Iterable[str], roots: Sequence[Path]) -> dict[str, list[str]]:
-    """List sources and packages in the searched folders, because a name may refer to a new one."""
-    folders = {*(Path(p).parent for p in files), *(r.resolve() for r in roots)}
-    return {str(folder): _names(folder) for folder in sorted(folders)}
+_Sources = Mapping[str, Mapping[str, Any]]
+
+
+def _sources(files: Iterable[Path], roots: Iterable[Path]) -> _Sources:
+    """Digests of the files that were read, and what is next to them, because a name may refer to a new file."""
+    digests = {str(p.resolve()): _digest(p) for p in files}
+    folders = {*(Path(p).parent for p in digests), *(r.resolve() for r in roots)}
+    return {"files": digests, "beside": {str(folder): _names(folder) for folder in sorted(folders)}}
+
+
+def _unchanged(sources: _Sources) -> bool:
+    same = all(Path(p).is_file() and _digest(Path(p)) == digest for p, digest in sources["files"].items())
+    return same and all(_names(Path(folder)) == names for folder, names in sources["beside"].items())
+
+
+_MOST_KEPT = 4
+_kept: dict[tuple[object, ...], tuple[FlatModel, _Sources]] = {}
+
+
+def load(file: Path, class_name: str, roots: Sequence[Path] = ()) -> FlatModel:
+    """Flatten a Modelica class; see `fmu_build.front.flatten.load`. The latest are kept while no file changes."""
+    check_tools()
+    from fmu_build.front.flatten import load as load_
+
+    key = Path(file).resolve(), class_name, *(Path(r).resolve() for r in roots), *standard_folders()
+    if key in _kept and _unchanged(_kept[key][1]):
+        return _kept[key][0]
+    flat = load_(file, class_name, roots)
+    _kept[key] = flat, _sources(flat.files, map(Path, roots))
+    while len(_kept) > _MOST_KEPT:
+        del _kept[next(iter(_kept))]
+    return flat
 
 
 def _names(folder: Path) -> list[str]:

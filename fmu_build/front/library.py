@@ -69,9 +69,9 @@ class Library:
 
     def _find(self, name: str) -> ClassDef | None:
         for root in (*self.roots, *self._standard):
-            for folder in self._versions(root, name):
-                if (folder / "package.mo").is_file():
-                    return self._folder(folder)
+            folders = self._versions(root, name)
+            if folders:
+                return self._folder(folders[0])
             if (root / f"{name}.mo").is_file():
                 return self._single(root / f"{name}.mo", name)
             package = _package_folder(root / "package.mo")  # the root may be a package itself
@@ -88,6 +88,9 @@ class Library:
     def _versions(self, root: Path, name: str) -> list[Path]:
         """Folders of a library in a directory: the version that the model uses, then the newest first."""
         folders = [root / name, *sorted(root.glob(f"{name} *"), reverse=True)]
+        folders = [folder for folder in folders if (folder / "package.mo").is_file()]
+        if len(folders) < 2:
+            return folders
         wanted = f"{name} {self._used_version(name) or ''}"
         return sorted(folders, key=lambda folder: not folder.name.startswith(wanted))
 
