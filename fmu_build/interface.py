@@ -10,7 +10,7 @@ from fmu_build.aliases import Start, start_of
 from fmu_build.events import Events
 from fmu_build.flat_model import Variable as Declaration
 from fmu_build.graph import SX, is_number, key
-from fmu_build.model import Causality, DependencyKind, Initial, Location, Unit, Variable
+from fmu_build.model import Causality, DependencyKind, Initial, Location, Unit, Variable, derivative_name
 from fmu_build.start import InitialConditions
 from fmu_build.system import System
 from fmu_build.unit_strings import make_unit
@@ -219,7 +219,7 @@ class _Describer:
         unit, below = base.variable.unit if base else None, state.base.name()
         for order in range(state.order):
             unit = _per_second(unit)
-            below = f"der({below})" if order else below
+            below = derivative_name(below) if order else below
         name = str(state.symbol.name())
         variables.append(
             Variable(name, "Real", place, "local", "continuous", initial, value, unit=unit, derivative_of=below)
@@ -228,7 +228,7 @@ class _Describer:
 
     def _derivative(self, index: int, name: str, unit: str | None) -> Variable:
         return Variable(
-            f"der({name})", "Real", Location("dx", index), "local", "continuous", "calculated",
+            derivative_name(name), "Real", Location("dx", index), "local", "continuous", "calculated",
             unit=_per_second(unit), derivative_of=name, **self._dependencies(self.rates[index]),
         )  # fmt: skip
 

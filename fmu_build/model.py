@@ -120,6 +120,7 @@ and source line; a value is the form between two characters 1, see ``fmu_build/m
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -132,6 +133,12 @@ DependencyKind = Literal["constant", "fixed", "dependent"]
 Vector = Literal["t", "x", "dx", "u", "p", "d", "z", "y", "v", "constant"]
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+def derivative_name(name: str) -> str:
+    """Return the name that FMI's structured names give the time derivative of a variable, or of a derivative."""
+    known = re.fullmatch(r"der\((.+?)(?:,(\d+))?\)", name)
+    return f"der({known[1]},{int(known[2] or 1) + 1})" if known else f"der({name})"
 
 
 @dataclass(frozen=True)

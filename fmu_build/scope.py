@@ -15,6 +15,7 @@ from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import FlatModel
 from fmu_build.functions import Functions
 from fmu_build.graph import SX, Graph, Substitution, if_else, key
+from fmu_build.model import derivative_name
 from fmu_build.syntax import Assign, AssignMany, WhenStatement, walk
 from fmu_build.variables import Declarations, Declared, Parameters
 
@@ -154,7 +155,7 @@ class ModelScope:
         """Symbol of the time derivative of a continuous variable (or of a derivative)."""
         derivative = self._derivative.get(key(symbol))
         if derivative is None:
-            derivative = SX.sym(f"der({symbol.name()})")
+            derivative = SX.sym(derivative_name(symbol.name()))
             self._derivative[key(symbol)] = derivative
             self.integral[key(derivative)] = symbol
         return derivative

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmpy import read_model_description
 from scipy.linalg import expm
 
-from fmu_build import compile_modelica
+from fmu_build import build, compile_modelica
 from fmu_build.errors import ModelicaError
 from tests.fmu_build.simulate import Instance, states
 
@@ -97,3 +98,14 @@ def test_an_equation_is_differentiated_eight_times_and_no_more(tmp_path, times):
     chained = Instance.of(compile_modelica(file, "Chain"))
     assert states(chained.model) == []
     assert chained.get("x[9]", 0.3, NOTHING, []) == pytest.approx(np.sin(0.3))
+
+
+def test_second_derivatives_have_the_names_of_fmi(tmp_path):
+    (tmp_path / "M.mo").write_text(
+        "model M Real q[1, 2](each start = 0.1); Real x[2], y[2], v[2], w[2], F[2]; equation\n"
+        "for k in 1:2 loop x[k] = sin(q[1, k]); y[k] = -cos(q[1, k]); v[k] = der(x[k]); w[k] = der(y[k]);\n"
+        "der(v[k]) = -F[k]*x[k]; der(w[k]) = -F[k]*y[k] - 9.81; end for; end M;"
+    )
+    fmu = build(tmp_path / "M.mo", "M", tmp_path)  # which a fixture validates
+    names = [v.name for v in read_model_description(str(fmu)).modelVariables]
+    assert [n for n in names if "der(q[1,2]" in n] == ["der(q[1,2])", "der(q[1,2],2)"]
