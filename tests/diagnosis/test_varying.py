@@ -141,11 +141,21 @@ def test_a_curved_line_is_no_other_law(tmp_path):
     assert "G.varies.time_bend" in effect["expression"]
 
 
-@pytest.mark.parametrize(("change", "at", "law"), [(-0.56, 2400.0, "tanh"), (-0.3, None, "_bend")])
-def test_laws_that_small_changes_do_not_tell_apart_are_refitted(tmp_path, change, at, law):
+@pytest.mark.parametrize(
+    ("change", "shape", "law"),
+    [
+        (-0.56, lambda time: 0.5 + 0.5 * np.tanh((time - 2400.0) / 150.0), "tanh"),
+        (-0.3, lambda time: time / 4780.0, "_bend"),
+        (
+            -0.4,
+            lambda time: 1.0 - np.exp(-time / 1500.0),
+            "exp",
+        ),  # a line that bends as much as it may is no better
+    ],
+)
+def test_laws_that_small_changes_do_not_tell_apart_are_refitted(tmp_path, change, shape, law):
     def changed(_value, _wind, time):
-        share = time / 4780.0 if at is None else 0.5 + 0.5 * np.tanh((time - at) / 150.0)
-        return 20.0 * (1.0 + change * share)
+        return 20.0 * (1.0 + change * shape(time))
 
     effects = tomllib.loads(made_catalogue(campaign(tmp_path, changed), load_simulator))["effects"]
     assert law in effects["varies@G(time)"]["expression"]

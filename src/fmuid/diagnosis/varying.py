@@ -136,11 +136,6 @@ class Scored:
         """What it depends on, as in ids."""
         return WARMTH if self.law.memory else self.source.name
 
-    @property
-    def id(self) -> str:
-        """The effect's id, which does not tell the shape."""
-        return varying_id(self.coefficient.name, self.over)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
@@ -206,18 +201,18 @@ def varying_lines(
     if gap(nominal.residuals, subject.observed) <= GAP_THAT_MATTERS:
         return []
     groups, among = scored(subject, campaign, models, nominal)
-    several = [group for group in groups if len(group) > 1]
+    several = [one for group in groups if len(group) > 1 for one in group]
     if several:
-        left = [costs(_lines(subject, [group[k] for group in several], among, {})) for k in (0, -1)]
+        left = costs(_lines(subject, several, among, {}, apart=True))
         size = stack(nominal.residuals, subject.observed).size
-        for group in several:
-            first, other = (of[group[0].id] for of in left)
-            group[:] = group[-1:] if first - other > _relevant(first - size) else group[:1]
-    return _lines(subject, [one for (one,) in groups], among, known)
+        groups = [[_first(group, lambda one: left[_id_apart(one)] - size)] for group in groups]
+    return _lines(subject, [group[0] for group in groups], among, known)
 
 
-def _lines(subject: Subject, chosen: Sequence[Scored], among: int, known: Mapping[str, object]) -> list[str]:
-    """Return the entries of a catalogue."""
+def _lines(
+    subject: Subject, chosen: Sequence[Scored], among: int, known: Mapping[str, object], *, apart: bool = False
+) -> list[str]:
+    """Return the entries of a catalogue, with ids that keep laws of one coefficient `apart` or without."""
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     lines: list[str] = []
     for name, unit in {
@@ -232,8 +227,17 @@ def _lines(subject: Subject, chosen: Sequence[Scored], among: int, known: Mappin
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
         inputs = {source.text: source.unit} if source.column else {}
         over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs, among)
+        over = replace(over, name=_apart(one)) if apart else over
         lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
     return lines
+
+
+def _apart(one: Scored) -> str:
+    return f"{one.over}, {one.name}"
+
+
+def _id_apart(one: Scored) -> str:
+    return varying_id(one.coefficient.name, _apart(one))
 
 
 def _from(one: Scored) -> Law:
@@ -273,7 +277,7 @@ def scored(
     for having, every in (pair for pair in pairs[: 2 * _MOST] if _largest(pair[1]) >= least):
         by_source = [[s for s in every if s.source is source] for source in dict.fromkeys(s.source for s in every)]
         shaped = [s for of in by_source for s in _shaped(subject, having, of, basis=basis, residual=residual)]
-        groups.append(_simplest(shaped, beyond))
+        groups.append(_open(shaped, beyond))
     groups.sort(key=_largest, reverse=True)
     (prediction,) = subject.model.predict([nominal.values])
     assert not isinstance(prediction, SimulationError)
@@ -505,20 +509,39 @@ def _relevant(left: float) -> float:
     return max(_CLOSES * left, SEEN**2)
 
 
-def _simplest(scored: Sequence[Scored], beyond: float) -> list[Scored]:
+def _first(every: Sequence[Scored], left: Callable[[Scored], float], curved: float = 0.0) -> Scored:
     """Return the first law of the library that leaves hardly more than later ones of what is beyond the noise.
 
-    The response to a change c differs from its linear part by about c/2 of that. If it matters which of two laws
-    is better, and they differ by less, both are returned.
+    Where responses are `curved`, what a law explains is uncertain by the square of that times its change. Laws
+    that fit best at a bound of their shape have another one, and come last.
     """
-    chosen: list[Scored] = []
-    for curved in (0.5, 0.0):
-        best = scored[0]
-        for one in scored[1:]:
-            if one.drop > best.drop + max(_relevant(beyond - best.drop), (curved * one.change) ** 2 * one.drop):
-                best = one
-        chosen += [best] if best not in chosen else []
-    return chosen
+    best, *others = sorted(every, key=_at_bound)
+    for one in others:
+        if left(best) - left(one) > max(_relevant(left(best)), (curved * one.change) ** 2 * one.drop):
+            best = one
+    return best
+
+
+def _at_bound(one: Scored) -> bool:
+    """Return whether a law fits best where the search for its shape ends."""
+    bounds = _bounds(one).items()
+    return any(one.trial[k] == _further(end, 0.0, *ends) for k, ends in bounds for end in ends)
+
+
+def _open(every: Sequence[Scored], beyond: float) -> list[Scored]:
+    """Return the law that describes a dependence, first of all, and those that refits have to compare with it.
+
+    The response to a change c differs from its linear part by about c/2 of that. Laws that explain relevantly
+    more than the first one may be better, but not beyond that doubt.
+    """
+
+    def left(one: Scored) -> float:
+        return max(beyond - one.drop, 0.0)
+
+    by_name = {one.name: one for one in sorted(every, key=lambda one: one.drop)}
+    compared = [one for one in every if by_name[one.name] is one]
+    first = _first(compared, left, 0.5)
+    return [first, *(one for one in compared if left(first) - left(one) > _relevant(left(first)))]
 
 
 def _suits(law: Law, source: Source) -> bool:
