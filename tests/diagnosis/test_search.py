@@ -21,7 +21,7 @@ from fmuid.diagnosis.candidates import (
     score_further,
     without,
 )
-from fmuid.diagnosis.cross_validation import draw_noise
+from fmuid.diagnosis.cross_validation import CHORDS, draw_noise
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.effect_search import _added, _moved, _pruned, search
 from fmuid.diagnosis.next_experiment import suggest
@@ -274,6 +274,13 @@ def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch)
         monkeypatch.setattr("fmuid.diagnosis.decide.SAME", 2.0)
         monkeypatch.setattr("fmuid.diagnosis.next_experiment.SAME", 2.0)
         assert diagnose_subject(subject).diagnosis.added_sensor is not None
+
+
+def test_only_what_fits_as_well_as_its_rival_is_refitted_without_each_run(monkeypatch):
+    subject = heard({"law": {2: 1.0}}, {2: 1.0, 3: 0.5})
+    monkeypatch.setattr(candidates, "leaving_out", lambda *_, chords: chords)
+    chords = [fit_effects(subject, subject.effects, [{}], rival=rival) for rival in (np.inf, 0.0)]
+    assert chords == [CHORDS, 1]
 
 
 def test_no_run_is_proposed_in_which_the_outputs_run_away():

@@ -241,9 +241,14 @@ def fit_effects(
     chords: int = CHORDS,
     rival: float = np.inf,
 ) -> Fitted | None:
-    """Refit the nominal parameters together with those of `effects`; None if no start can be simulated."""
+    """Refit the nominal parameters together with those of `effects`; None if no start can be simulated.
+
+    If it fits worse than its `rival`, its predictions of left-out experiments are those of one step.
+    """
     fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance, rival=rival)
-    return None if fit is None else leaving_out(subject, effects, fit, chords=chords)
+    if fit is None:
+        return None
+    return leaving_out(subject, effects, fit, chords=chords if fit.cost <= about(rival) else 1)
 
 
 def leaving_out(subject: Subject, effects: Sequence[Effect], fit: Refit, *, chords: int = CHORDS) -> Fitted:
@@ -327,23 +332,29 @@ def score_further(
     )
 
 
-def score_early(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
-    """Score the effects that `fitted` lacks in early parts of the runs, at a refit of these.
+def score_early(
+    subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
+) -> tuple[Score, ...]:
+    """Score effects as `score_further` does in early parts of the runs, at a refit of these.
 
     Empty where runs cannot be shortened, or where the model does not drift.
     """
     part, again = refitted_early(subject, fitted)
-    return () if again is None else score_further(part, again)
+    return () if again is None else score_further(part, again, likely=likely, most=most)
 
 
-def score_at_start(subject: Subject, fitted: Fitted) -> tuple[Score, ...]:
-    """Score the effects that `fitted` lacks at the model's start values.
+def score_at_start(
+    subject: Subject, fitted: Fitted, *, likely: Sequence[Score] = (), most: int | None = None
+) -> tuple[Score, ...]:
+    """Score effects as `score_further` does at the model's start values.
 
     Without the effect that is missing, a refit may end far away, where that effect no longer promises anything.
     """
     effects = [e for e in subject.effects if e.id in fitted.effects]
     begin = refit_only(subject, effects, [{**fitted.fit.values, **subject.starts}], iterations=0)
-    return () if begin is None else score_further(subject, replace(fitted, fit=begin))
+    if begin is None:
+        return ()
+    return score_further(subject, replace(fitted, fit=begin), likely=likely, most=most)
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:

@@ -36,7 +36,7 @@ from fmuid.diagnosis.cross_validation import (
     in_sample,
 )
 from fmuid.diagnosis.decide import tolerated
-from fmuid.diagnosis.effect_search import aliases, finished, holds, search
+from fmuid.diagnosis.effect_search import aliases, finished, holds, search, singles_of
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own_bases, responses_of, trajectories
 from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
@@ -342,13 +342,13 @@ def _search_settled(
 ) -> tuple[Subject, _Searched]:
     """Search for effects from a nominal model, again from any better optimum of it that the search finds."""
     subject, nominal = _settled(subject, nominal)
-    subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed, last=last))
+    subject, searched = _refined(*_searched(subject, nominal, say, seed=seed, last=last))
     for _ in range(_RESTARTS if searched.evidence.present else 0):
         better = better_nominal(subject, searched.nominal, searched.candidates)
         if better is None:
             break
         subject, nominal = _settled(subject, better)
-        subject, searched = _refined(subject, _searched(subject, nominal, say, seed=seed, last=last))
+        subject, searched = _refined(*_searched(subject, nominal, say, seed=seed, last=last))
     return subject, searched
 
 
@@ -368,7 +368,7 @@ def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int
 
 
 def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
-    """Refit the nominal parameters until the solver's errors stay below the noise there, also with an effect."""
+    """Refit the nominal parameters until the solver's errors stay below the noise there."""
     for _ in range(_RESTARTS):
         tighter = tightened(subject, [nominal.fit.values])
         if tighter is subject:
@@ -377,13 +377,15 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
         nominal = fit_effects(subject, (), [before]) or nominal
         if all(abs(nominal.fit.values[u.name] - before[u.name]) <= u.step for u in subject.nominal):
             break  # errors there are those here
-    nominal = escaped(subject, (), over_horizons(subject, (), nominal, subject.starts))
-    trials = [{**nominal.fit.values, **effect.neutral, **effect.trials[0]} for effect in subject.effects]
-    return tightened(subject, trials), nominal
+    return subject, escaped(subject, (), over_horizons(subject, (), nominal, subject.starts))
 
 
-def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: bool) -> _Searched:
-    """Locate the gap that a refit of the nominal parameters leaves, and search for effects that close it."""
+def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: bool) -> tuple[Subject, _Searched]:
+    """Locate the gap that a refit of the nominal parameters leaves, and search for effects that close it.
+
+    The solver's errors stay below the noise with the effects that promise most, too. A score needs less: what is
+    wrong with a signature does not look like the gap.
+    """
     say("locating the gap", 0.08)
     paths = trajectories(subject.model, nominal.fit.values, subject.catalogue.regimes)
     prediction = _prediction(subject, nominal.fit.values)
@@ -393,8 +395,10 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: b
     noise = draw_noise(subject.observed, prediction, seed=seed)
     evidence = _evidence(subject, nominal, scores, noise)
     again = not last and subject.observed.beside_errors(prediction) is not subject.observed
+    trials = [{**nominal.fit.values, **subject.by_id[s.effect].neutral, **s.trial} for s in singles_of(scores)]
+    subject = tightened(subject, trials)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present, again=again)
-    return _Searched(nominal, paths, energy, scores, noise, evidence, candidates, best)
+    return subject, _Searched(nominal, paths, energy, scores, noise, evidence, candidates, best)
 
 
 def _refined(subject: Subject, searched: _Searched) -> tuple[Subject, _Searched]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from itertools import combinations
 
@@ -78,9 +79,10 @@ def search(
         Whether another search follows unless the best explanation of this one holds beyond doubt. A pair that
         does not is then left as it is.
     """
-    singles, early = _promising(scores)[:2], list[str]()
+    singles, early, elsewhere = _promising(scores)[:2], list[str](), _Elsewhere()
     if present:
-        singles, early = _chosen(subject, nominal, _promising(scores), _SINGLES, _EARLY)
+        elsewhere = _elsewhere(subject, nominal)
+        singles, early = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
 
     def tell(task: str, done: float) -> None:
         say(task, 0.15 + 0.35 * done)
@@ -99,7 +101,7 @@ def search(
         shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
         company = [
             c
-            for c in _company(subject, best, scores, noise)
+            for c in _company(subject, best, scores, elsewhere, noise)
             if not (shape and _same_place(subject, c, signatures))
         ]
         better = decide.best_of(company, subject.observed) if company else None
@@ -132,18 +134,37 @@ def aliases(
     return alias_classes({**tried, **refitted}, threshold=alike)
 
 
-def _chosen(
-    subject: Subject, fitted: Fitted, whole: Sequence[Score], most: int, first: int
-) -> tuple[list[Score], list[str]]:
-    """Return the effects to add: those that promise most early, at the start values, and at the estimate.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Elsewhere:
+    """Scores in early parts of the runs, and at the start values.
 
     Where a model has drifted away from the plant, scores of whole runs say little; those of early parts say more.
-    Without the effect that is missing, the estimate may be far away; the start values are not. The `first` effects
-    of each are in addition to those at the estimate, and the early ones are also returned by name.
+    Without the effect that is missing, the estimate may be far away; the start values are not.
+    """
+
+    early: Sequence[Score] = ()
+    at_start: Sequence[Score] = ()
+
+
+def _elsewhere(subject: Subject, fitted: Fitted, before: _Elsewhere | None = None) -> _Elsewhere:
+    """Score the effects that `fitted` lacks elsewhere; of those of a simpler model, the ones that promise most."""
+    if before is None:
+        return _Elsewhere(score_early(subject, fitted), score_at_start(subject, fitted))
+    return _Elsewhere(
+        score_early(subject, fitted, likely=before.early, most=_SCORED),
+        score_at_start(subject, fitted, likely=before.at_start, most=_SCORED),
+    )
+
+
+def _chosen(elsewhere: _Elsewhere, whole: Sequence[Score], most: int, first: int) -> tuple[list[Score], list[str]]:
+    """Return the effects to add: those that promise most early, at the start values, and at the estimate.
+
+    The `first` effects of each are in addition to those at the estimate, and the early ones are also returned by
+    name.
     """
     early, begin = (
         {s.effect: s for s in _promising(scores) if s.drop > SEEN**2}
-        for scores in (score_early(subject, fitted), score_at_start(subject, fitted))
+        for scores in (elsewhere.early, elsewhere.at_start)
     )
     by_name = {**begin, **early, **{s.effect: s for s in whole}}
     names = list(early)[:first]
@@ -194,16 +215,31 @@ def _same_place(subject: Subject, after: Fitted, signatures: Mapping[str, FloatA
     )
 
 
+def singles_of(scores: Sequence[Score]) -> list[Score]:
+    """Return the scores of the effects that are first refitted on their own."""
+    return _promising(scores)[:_SINGLES]
+
+
 def _promising(scores: Sequence[Score], share: float = _SHARE) -> list[Score]:
     least = share * max((s.drop for s in scores), default=0.0)
     return [s for s in scores if s.signature is not None and s.drop > 0.0 and s.drop >= least]
 
 
-def _company(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> list[Fitted]:
-    """Refit `best` with further effects; none if its residual and their scores are within the noise."""
+def _company(
+    subject: Subject, best: Fitted, scores: Sequence[Score], before: _Elsewhere, noise: NoiseDraws
+) -> list[Fitted]:
+    """Refit `best` with further effects; none if its residual and their scores are within the noise.
+
+    A third effect is provisional, so it is not looked for where only beginnings or the start values show it.
+    """
     further, finished = _further(subject, best, scores, noise)
+    if finished:
+        return []
     distinct = _distinct(subject, further)
-    return [] if finished else _added(subject, best, *_chosen(subject, best, distinct, _PAIRS, _EARLY_BESIDE))
+    if len(best.effects) >= decide.MOST_CALIBRATED:
+        return _added(subject, best, distinct[:_PAIRS])
+    elsewhere = _elsewhere(subject, best, before)
+    return _added(subject, best, *_chosen(elsewhere, distinct, _PAIRS, _EARLY_BESIDE))
 
 
 def _distinct(subject: Subject, scores: Sequence[Score]) -> list[Score]:

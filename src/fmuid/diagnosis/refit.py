@@ -117,7 +117,8 @@ def refit(
     tolerance
         The search ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
     rival
-        Cost of another model. A search that has ended goes on only if slopes promise to fit about as well as it.
+        Cost of another model. A search begins, or goes on after it has ended, only if slopes promise to fit about
+        as well as it.
 
     Raises
     ------
@@ -132,7 +133,9 @@ def refit(
             failure = outcome
         else:
             campaign.known[x.tobytes()] = outcome
-            ends.append(_search(campaign, x, max_iterations, tolerance))
+            cost = campaign.cost(x)
+            vain = cost > about(rival) < cost - campaign.promised(x, "exact")
+            ends.append((cost, x, False) if vain else _search(campaign, x, max_iterations, tolerance))
     if not ends:
         raise failure
     ends.sort(key=lambda end: end[0])
@@ -272,7 +275,7 @@ class _Campaign:
         self.prior = np.diag([1.0 / u.sd for u in unknowns])[[np.isfinite(u.sd) for u in unknowns]]
         self.size = sum(w.size for w in observed.whiteners) + len(self.prior)
         self.known: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
-        self._near: OrderedDict[bytes, tuple[FloatArray, ...]] = OrderedDict()
+        self._slopes: dict[Slopes, OrderedDict[bytes, tuple[FloatArray, ...]]] = {}
 
     def point(self, start: Mapping[str, float]) -> FloatArray:
         return self.clipped(np.array([start.get(u.name, u.start) for u in self._unknowns]))
@@ -339,9 +342,13 @@ class _Campaign:
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
         """Return d residual / d unknown, (M_e, P) per experiment; differences where it cannot be exact."""
-        if slopes == "near":  # shared by the search, its promise and the result at one point
-            return _remembered(self._near, x, lambda: self._differences(x, {}))
-        return self._differences(x, {}, _WIDE) if slopes == "wide" else self._differences(x, self._exactly(x))
+        known = self._slopes.setdefault(
+            slopes, OrderedDict()
+        )  # of the search, its promise and the result at a point
+        wide = _WIDE if slopes == "wide" else 0.0
+        return _remembered(
+            known, x, lambda: self._differences(x, self._exactly(x) if slopes == "exact" else {}, wide)
+        )
 
     def _differences(
         self, x: FloatArray, columns: dict[int, tuple[FloatArray, ...]], wide: float = 0.0
