@@ -449,7 +449,7 @@ def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, flo
 
 
 def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> Fitted | None:
-    """Refit `fitted` with some effects `exchanged` for the same laws at other ports, or for similar ones."""
+    """Refit `fitted`, with some effects `exchanged` for laws elsewhere or similar ones, as its rival."""
     by_id = subject.by_id
     values = dict(fitted.fit.values)
     for name in exchanged:
@@ -464,7 +464,7 @@ def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> F
     start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed))
     kept = [by_id[n] for n in fitted.effects if n not in exchanged]
     effects = [*kept, *(by_id[score.effect] for score in exchanged.values())]
-    return fit_effects(subject, effects, [start]) if np.isfinite(cost) else None
+    return fit_effects(subject, effects, [start], rival=fitted.fit.cost) if np.isfinite(cost) else None
 
 
 def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:

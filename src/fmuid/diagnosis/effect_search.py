@@ -230,14 +230,15 @@ def _company(
 ) -> list[Fitted]:
     """Refit `best` with further effects; none if its residual and their scores are within the noise.
 
-    A third effect is provisional, so it is not looked for where only beginnings or the start values show it.
+    A third effect is provisional, so it is not looked for where only beginnings or the start values show it, and
+    only the best fit escapes from local minima.
     """
     further, finished = _further(subject, best, scores, noise)
     if finished:
         return []
     distinct = _distinct(subject, further)
     if len(best.effects) >= decide.MOST_CALIBRATED:
-        return _added(subject, best, distinct[:_PAIRS])
+        return _added(subject, best, distinct[:_PAIRS], extended=1)
     elsewhere = _elsewhere(subject, best, before)
     return _added(subject, best, *_chosen(elsewhere, distinct, _PAIRS, _EARLY_BESIDE))
 
@@ -298,13 +299,14 @@ def _added(
     scores: Sequence[Score],
     early: Sequence[str] = (),
     *,
+    extended: int = _EXTENDED,
     say: Say = quiet,
 ) -> list[Fitted]:
     """Refit `fitted` with the scored effects; return the models that fit better than it does.
 
-    Quick searches with each of them choose those that are refitted with care. The best fits, and `early` effects,
-    which may be far from their best, escape from local minima. An early effect whose quick search gains less than
-    its uncertainty promises no more than others do.
+    Quick searches with each of them choose those that are refitted with care. The `extended` best fits, and
+    `early` effects, which may be far from their best, escape from local minima. An early effect whose quick search
+    gains less than its uncertainty promises no more than others do.
     """
     approached = []
     for k, score in enumerate(scores):
@@ -323,7 +325,7 @@ def _added(
         added = add_effect(subject, fitted, score, [begin], rival)
         refits += [(added, score)] if added is not None else []
     refits.sort(key=lambda pair: pair[0].fit.cost)
-    likely = {score.effect for _, score in refits[:_EXTENDED]}.union(score.effect for *_, score in gaining)
+    likely = {score.effect for _, score in refits[:extended]}.union(score.effect for *_, score in gaining)
     for k, (added, score) in enumerate(refits):
         if score.effect in likely:
             say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(refits))
