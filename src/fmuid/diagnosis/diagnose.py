@@ -383,7 +383,7 @@ def _settled(subject: Subject, nominal: Fitted) -> tuple[Subject, Fitted]:
 def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: bool) -> tuple[Subject, _Searched]:
     """Locate the gap that a refit of the nominal parameters leaves, and search for effects that close it.
 
-    The solver's errors stay below the noise with the effects that promise most, too. A score needs less: what is
+    The solver's errors also stay below the noise with the effects that promise most. A score needs less: what is
     wrong with a signature does not look like the gap.
     """
     say("locating the gap", 0.08)

@@ -300,6 +300,7 @@ def _added(
     early: Sequence[str] = (),
     *,
     extended: int = _EXTENDED,
+    rival: float = np.inf,
     say: Say = quiet,
 ) -> list[Fitted]:
     """Refit `fitted` with the scored effects; return the models that fit better than it does.
@@ -321,9 +322,10 @@ def _added(
         say(f"refitting with {score.effect}", 0.4 + 0.3 * k / len(chosen))
         neutral = {**fitted.fit.values, **subject.by_id[score.effect].neutral}
         begin = values if cost < fitted.fit.cost else neutral
-        rival = min((other.fit.cost for other, _ in refits), default=np.inf)
         added = add_effect(subject, fitted, score, [begin], rival)
-        refits += [(added, score)] if added is not None else []
+        if added is not None:
+            refits.append((added, score))
+            rival = min(rival, added.fit.cost)
     refits.sort(key=lambda pair: pair[0].fit.cost)
     likely = {score.effect for _, score in refits[:extended]}.union(score.effect for *_, score in gaining)
     for k, (added, score) in enumerate(refits):
@@ -351,7 +353,7 @@ def _exchanged(
         candidates += _crossed(subject, best, candidates, scores)
         for rest, name in fresh:
             explored.add(rest)
-            candidates += _replaced(subject, without_one(best, name), candidates, scores)
+            candidates += _replaced(subject, without_one(best, name), candidates, scores, best.fit.cost)
         best = decide.best_of([c for c in candidates if len(c.effects) == len(best.effects)], subject.observed)
 
 
@@ -396,14 +398,19 @@ def _crossed(
 
 
 def _replaced(
-    subject: Subject, rest: Fitted | None, candidates: Sequence[Fitted], scores: Sequence[Score]
+    subject: Subject, rest: Fitted | None, candidates: Sequence[Fitted], scores: Sequence[Score], rival: float
 ) -> list[Fitted]:
-    """Refit what is left of a model without one of its effects with the most promising others instead."""
+    """Refit what is left of a model without one of its effects with the most promising others instead.
+
+    The cost of that model is the `rival`.
+    """
     if rest is None:
         return []
     tried = {frozenset(c.effects) for c in candidates}
     others = _promising(score_further(subject, rest, likely=scores, most=_SCORED), _CLOSE)[:_PAIRS]
-    return _added(subject, rest, [s for s in others if frozenset((*rest.effects, s.effect)) not in tried])
+    fresh = [s for s in others if frozenset((*rest.effects, s.effect)) not in tried]
+    extended = 0 if len(rest.effects) >= decide.MOST_CALIBRATED else _EXTENDED  # as in `_company`
+    return _added(subject, rest, fresh, extended=extended, rival=rival)
 
 
 def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitted:
