@@ -20,7 +20,7 @@ from fmu_build.interface import describe
 from fmu_build.invariants import state_derivatives
 from fmu_build.loops import SwitchedLoopError
 from fmu_build.model import CompiledModel
-from fmu_build.scope import ModelScope
+from fmu_build.scope import ModelScope, without_value
 from fmu_build.syntax import Assign, Call, Literal, Part, Reference, WhenStatement, references
 from fmu_build.system import System, solved
 from fmu_build.transports import transports_of
@@ -51,9 +51,10 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     """Translate a flattened class (see `compile_modelica`)."""
     structural: set[str] = set()
     promoted: set[str] = set()
+    open_: set[str] = set()
     events_in_smooth: Choice["", "some", "all"] = ""
     while True:
-        scope = ModelScope(flat, Graph(), structural)
+        scope = ModelScope(flat, Graph(), structural, open_)
         scope.evaluate.events_in_smooth = events_in_smooth
         scope.functions.by_parameters = partial(_deciding, scope, structural)
         try:
@@ -65,6 +66,7 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
             if not error.names - promoted:
                 raise
             promoted |= error.names
+            open_ |= error.names if error.open else set()
             for name in sorted(error.names):
                 flat = _with_followers(_as_state(flat, name), name)
         except algebra.UnknownSizeError as error:
@@ -115,23 +117,29 @@ def _check_discrete(scope: ModelScope, equations: Equations) -> None:
 
 
 class _Unsolved(Exception):  # noqa: N818  (not an error)
-    """Parameters with fixed = false that no initial equation determines from parameters alone."""
+    """Parameters with fixed = false that no initial equation determines from parameters alone.
 
-    def __init__(self, names: set[str]) -> None:
+    They are `open` if no initial equation has them at all, but a fixed start may.
+    """
+
+    def __init__(self, names: set[str], *, open: bool = False) -> None:
         super().__init__(names)
         self.names = names
+        self.open = open
 
 
 def _as_state(flat: FlatModel, name: str) -> FlatModel:
     """Return the model with a parameter as a variable that does not change.
 
-    If time and parameters determine it, it is a discrete variable, which keeps its value from the start.
+    If time and parameters determine it, or if it is no Real, it is a discrete variable, which keeps its value from
+    the start.
     """
     for equation in flat.initial_equations:
         given = (
             isinstance(equation.left, Reference) and equation.left.name == name and not equation.left.subscripts
         )
-        if given and all(_is_known(flat, r) for r in references(equation.right)):
+        discrete = flat.variables[name].type != "Real"
+        if given and (discrete or all(_is_known(flat, r) for r in references(equation.right))):
             assert isinstance(equation.left, Reference)
             variable = replace(flat.variables[name], variability="discrete", fixed=None, binding=None)
             start = WhenStatement(
@@ -144,6 +152,8 @@ def _as_state(flat: FlatModel, name: str) -> FlatModel:
                 initial_equations=tuple(e for e in flat.initial_equations if e is not equation),
                 whens=(*flat.whens, start),
             )
+    if flat.variables[name].type != "Real":
+        raise without_value(flat, name, flat.variables[name].at)
     variable = replace(flat.variables[name], variability="continuous", fixed=None, binding=None)
     changed = replace(flat, variables=MappingProxyType({**flat.variables, name: variable}))
     rate = Call(variable.at, "der", (Reference(variable.at, (Part(name),)),))
@@ -175,17 +185,16 @@ def _initial_parameters(scope: ModelScope, equations: Equations) -> start.Explic
     explicit = start.split_initial(scope, equations.initial)
     equations.initial = explicit.rest
     open_ = [d for d in scope.parameters.from_initial if key(algebra.sx(d.symbol)) not in explicit.parameters]
-    wanted = {key(algebra.sx(d.symbol)) for d in open_ if d.type == "Real"}
     used = {k for e in equations.initial for k in scope.graph.symbols(e.residual)}
-    if wanted & used:
-        raise _Unsolved({d.variable.name for d in open_ if key(algebra.sx(d.symbol)) in wanted & used})
+    wanted = {d.variable.name for d in open_ if key(algebra.sx(d.symbol)) in used}
+    if wanted:
+        raise _Unsolved(wanted)
+    if reals := {d.variable.name for d in open_ if d.type == "Real"}:
+        raise _Unsolved(reals, open=True)
+    for declared in open_:
+        raise without_value(scope.flat, declared.name, declared.at)
     for declared in scope.parameters.from_initial:
-        value = explicit.parameters.get(key(algebra.sx(declared.symbol)))
-        if value is None:
-            raise scope.flat.error(
-                f"nothing gives '{declared.name}' (fixed = false) a value", declared.at,
-                "give it an initial equation that has it alone on one side",
-            )  # fmt: skip
+        value = explicit.parameters[key(algebra.sx(declared.symbol))]
         scope.parameters.dependent.append((declared, value))
     if scope.parameters.from_initial:
         scope.parameters.dependent[:] = _in_order(scope)

@@ -10,13 +10,13 @@ import casadi as ca
 
 from fmu_build import algebra
 from fmu_build.algebra import Scalar, Value
-from fmu_build.errors import InputDerivativeError
+from fmu_build.errors import InputDerivativeError, ModelicaError
 from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import FlatModel
 from fmu_build.functions import Functions
 from fmu_build.graph import SX, Graph, Substitution, if_else, key
 from fmu_build.model import derivative_name
-from fmu_build.syntax import Assign, AssignMany, WhenStatement, walk
+from fmu_build.syntax import Assign, AssignMany, Place, WhenStatement, walk
 from fmu_build.variables import Declarations, Declared, Parameters
 
 
@@ -80,11 +80,21 @@ class Transport:
     profile: tuple[SX, ...]
 
 
+def without_value(flat: FlatModel, name: str, at: Place) -> ModelicaError:
+    """Return the error of a parameter with fixed = false to which nothing gives a value."""
+    what = f"nothing gives '{name}' (fixed = false) a value"
+    fix = "give it an initial equation that has it alone on one side"
+    return flat.error(what, at, fix)
+
+
 class ModelScope:
     """Scope of equations; collects what the expressions need (derivatives, relations, held values)."""
 
-    def __init__(self, flat: FlatModel, graph: Graph, structural: set[str]) -> None:
+    def __init__(
+        self, flat: FlatModel, graph: Graph, structural: set[str], open_parameters: Set[str] = frozenset()
+    ) -> None:
         self.flat = flat
+        self.open_parameters = open_parameters  # with fixed = false, as variables that a fixed start may determine
         self.graph = graph
         self.assigned = when_targets(flat.whens)  # variables that when-equations assign
         self.in_algorithms = targets(s for a in flat.algorithms for s in a.statements)

@@ -13,7 +13,7 @@ from fmu_build import algebra
 from fmu_build.aliases import Start, start_of
 from fmu_build.equations import Equation
 from fmu_build.graph import SX, if_else, key
-from fmu_build.scope import ModelScope
+from fmu_build.scope import ModelScope, without_value
 from fmu_build.syntax import Place
 from fmu_build.system import System
 from fmu_build.variables import Declared
@@ -157,11 +157,13 @@ class _Written:
 
     def warnings(self, free: set[int]) -> Iterator[str]:
         """Yield a line on the start values taken as fixed, and one for each that contradicts them."""
-        taken = [
-            self._shown(s.symbol.name(), start.source)
-            for i, (s, start) in enumerate(zip(self._system.reduced.states, self._starts, strict=True))
-            if not start.fixed and i not in free
-        ]
+        states = zip(self._system.reduced.states, self._starts, strict=True)
+        open_ = [(s.symbol, start) for i, (s, start) in enumerate(states) if not start.fixed and i not in free]
+        scope = self._system.scope
+        for declared in filter(None, (scope.declared(symbol) for symbol, _ in open_)):
+            if declared.variable.name in scope.open_parameters:
+                raise without_value(scope.flat, declared.name, declared.at)
+        taken = [self._shown(symbol.name(), start.source) for symbol, start in open_]
         taken += [self._others[n][0].name for n in sorted(self._used)]
         if taken:
             yield f"start values taken as fixed: {', '.join(taken)}"

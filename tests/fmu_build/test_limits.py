@@ -114,6 +114,14 @@ INITIAL = {
         "Real w(start = 0, fixed = true); Real i(start = 3); Real x(start = 0); initial equation der(w) = 0; der(x) = 0; "
         "equation der(w) = if x > 0.5 then 0 else i - 4; der(i) = -i; der(x) = 1 - x;", {"i": 3, "x": 1},
     ),
+    "by a parameter, where a start is fixed that is no state's": (
+        "parameter Real c(fixed = false, start = 3); Real x(start = 2, fixed = true); Real v(start = 0, fixed = true); "
+        "Real a(start = 0, fixed = true); equation der(x) = v; der(v) = a; a = 8 - c*x;", {"c": 4, "x": 2},
+    ),
+    "with a branch that they choose": (
+        "parameter Boolean up(fixed = false); Real y; Real x(start = 2, fixed = true); initial equation up = y > 3; "
+        "equation y = 2*x; der(x) = if up then 1 else -1;", {"up": 1, "der(x)": 1},
+    ),
     "with a flow that says nothing where its valve is shut": (
         "connector P Real p; flow Real q(start = 0); end P; "
         "model T P p(p(start = 2)); initial equation p.p = 3; equation der(p.p) = p.q; end T; "
