@@ -38,7 +38,7 @@ def means(name: str, other: str) -> bool:
     if not other.startswith("varies@"):
         return canonical(name) == canonical(other)
     (place, _, variable), (wanted, _, part) = (x.rstrip(")").partition("(") for x in (name, other))
-    return place == wanted and part.lower() in variable.lower()
+    return place == wanted and part.lower().replace("warming", "warmth") in variable.lower()
 
 
 def in_words(answer: Mapping[str, Any]) -> str:

@@ -212,6 +212,10 @@ def test_a_coefficient_has_to_be_named_with_what_it_varies_with():
     named = {n: Scored(LABEL | label, scored(effects=[n]).record) for n in VARYING}
     assert [n for n, case in named.items() if case.right] == [VARYING[0]]
     assert named["value@wire.R"].wrong
+    warm = Scored(
+        LABEL | label | {"variable": ["memory", "warming"]}, scored(effects=["varies@wire.R(warmth)"]).record
+    )
+    assert warm.right
 
 
 def test_an_unknown_effect_may_be_named_as_a_law_that_the_runs_cannot_tell_from_it():
