@@ -117,8 +117,7 @@ def refit(
     tolerance
         The search ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
     rival
-        Cost of another model. A search begins, or goes on after it has ended, only if slopes promise to fit about
-        as well as it.
+        Cost of another model. A search that has ended goes on only if slopes promise to fit about as well as it.
 
     Raises
     ------
@@ -133,9 +132,7 @@ def refit(
             failure = outcome
         else:
             campaign.known[x.tobytes()] = outcome
-            cost = campaign.cost(x)
-            vain = cost > about(rival) < cost - campaign.promised(x, "exact")
-            ends.append((cost, x, False) if vain else _search(campaign, x, max_iterations, tolerance))
+            ends.append(_search(campaign, x, max_iterations, tolerance))
     if not ends:
         raise failure
     ends.sort(key=lambda end: end[0])
