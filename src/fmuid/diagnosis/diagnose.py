@@ -573,8 +573,7 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
     best = best if part is None else part.fitted
-    alone = len(observed.runs) == 1  # another law may do the same with this input
-    provisional = provisional or alone or len(best.effects) > decide.MOST_CALIBRATED
+    provisional = provisional or len(best.effects) > decide.MOST_CALIBRATED
     if part is not None:
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
         beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))

@@ -264,7 +264,7 @@ def _more_data(diagnosis: Mapping[str, Any]) -> str:
         )
     if diagnosis["gap"]["present"] or diagnosis.get("power"):
         return (
-            "record a run with a different input; a single experiment as short as this cannot be cross-validated"
+            "record a run with a different input; a single experiment, even if repeated, cannot be cross-validated"
         )
     return "record runs with different or larger inputs, and more repeats; the data would show no plausible effect"
 
