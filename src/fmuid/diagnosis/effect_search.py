@@ -147,7 +147,10 @@ class _Elsewhere:
 
 
 def _elsewhere(subject: Subject, fitted: Fitted, before: _Elsewhere | None = None) -> _Elsewhere:
-    """Score the effects that `fitted` lacks elsewhere; of those of a simpler model, the ones that promise most."""
+    """Score further effects in early parts of the runs and at the start values.
+
+    Given the scores `before`, of a simpler model, only the effects that promise most there are scored.
+    """
     if before is None:
         return _Elsewhere(score_early(subject, fitted), score_at_start(subject, fitted))
     return _Elsewhere(

@@ -339,9 +339,8 @@ class _Campaign:
 
     def jacobian(self, x: FloatArray, slopes: Slopes = "exact") -> tuple[FloatArray, ...]:
         """Return d residual / d unknown, (M_e, P) per experiment; differences where it cannot be exact."""
-        known = self._slopes.setdefault(
-            slopes, OrderedDict()
-        )  # of the search, its promise and the result at a point
+        # Shared by the search, its promise and the result at one point.
+        known = self._slopes.setdefault(slopes, OrderedDict())
         wide = _WIDE if slopes == "wide" else 0.0
         return _remembered(
             known, x, lambda: self._differences(x, self._exactly(x) if slopes == "exact" else {}, wide)

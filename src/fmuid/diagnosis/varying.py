@@ -212,7 +212,7 @@ def varying_lines(
 def _lines(
     subject: Subject, chosen: Sequence[Scored], among: int, known: Mapping[str, object], *, apart: bool = False
 ) -> list[str]:
-    """Return the entries of a catalogue, with ids that keep laws of one coefficient `apart` or without."""
+    """Return the entries of a catalogue. If several laws of a coefficient are kept `apart`, ids name the law."""
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     lines: list[str] = []
     for name, unit in {
@@ -253,7 +253,7 @@ def scored(
 ) -> tuple[list[list[Scored]], int]:
     """Return the dependences that explain more of the residual than noise would, best first.
 
-    Each has one law, or two that refits have to choose from. Also return how many laws were compared.
+    Each has one law, or several that refits have to choose from. Also return how many laws were compared.
     """
     setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
