@@ -177,9 +177,12 @@ def test_a_nominal_model_that_cannot_be_simulated_says_why(monkeypatch):
         diagnose_subject(subject)
 
 
-def test_one_experiment_alone_is_not_enough_to_judge_on_data_left_out():
-    answer = check(diagnose_subject(plant({"a": 0.3}, experiments=("sine",))))
-    assert says(answer) == ("insufficient", [], [], [])
+def test_an_effect_in_one_experiment_alone_is_provisional():
+    diagnosed = diagnose_subject(plant({"a": 0.3}, experiments=("sine",)))
+    answer = check(diagnosed)
+    assert says(answer) == ("effect", ["asymmetry"], [], ["friction"])
+    assert answer["verdict"]["provisional"]
+    assert "something that the catalogue does not contain may explain" in str(diagnosed)
 
 
 def test_runs_in_which_no_plausible_effect_would_show_are_not_called_complete():

@@ -103,17 +103,17 @@ def test_a_verdict_is_said_as_an_engineer_would():
 
 
 @pytest.mark.parametrize(
-    ("present", "calibrated", "words"),
+    ("present", "bounded", "words"),
     [
-        (True, True, "record a run with a different input; a single experiment"),
-        (True, False, "repeat a run as it is"),
-        (False, False, "larger inputs"),
+        (True, False, "record a run with a different input; a single experiment"),
+        (True, True, "repeat a run as it is"),
+        (False, True, "larger inputs"),
     ],
 )
-def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, calibrated, words):
+def test_where_the_data_cannot_tell_it_is_said_what_to_record(present, bounded, words):
     diagnosis = copy.deepcopy(samples.diagnosis())
     diagnosis["verdict"] |= {"kind": "insufficient", "effects": []}
-    diagnosis["gap"] |= {"present": present, "calibrated": calibrated}
+    diagnosis["gap"] |= {"present": present, "bounded": bounded}
     diagnosis["power"] = {}
     (advice,) = [fact.value for fact in facts(diagnosis) if fact.label == "What to do"]
     assert words in advice

@@ -361,8 +361,8 @@ def weigh(
     leaves open, and that of as large sets of effects among the `rivals` that have not survived. Where the data are
     insufficient, the odds against `NONE` grow with the gap: they are half of it, in floors, for `UNKNOWN`, and a
     sixth for effects, as found in single runs of rigs other than actuators. If no gap was `seen`, there may still
-    be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open, and `NONE` what
-    the prediction of left-out data leaves (`by_chance`).
+    be one of a floor. For a `provisional` verdict, *unknown* has all that the closure leaves open; without
+    repeats, `NONE` has what the prediction of left-out data leaves (`by_chance`).
     """
     closed = 0.0
     if surviving:
@@ -380,7 +380,7 @@ def weigh(
         case _:
             doubt = 1.0 - closed if provisional else _doubt(closed)
             none, unknown, named = _NEVER, max(_DOUBT, doubt), max(_NEVER, closed)
-            if provisional and surviving:
+            if provisional and surviving and observed.bounded:
                 none = max(_NEVER, by_chance(nominal, surviving[0], max(1, len(rivals))))
             unknown += named * _of_rivals(surviving, rivals, observed)
     weights: dict[tuple[str, ...], float] = {NONE: none, UNKNOWN: unknown}

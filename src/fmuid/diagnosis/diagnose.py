@@ -279,6 +279,7 @@ def diagnose_subject(
             corrected=corrected.gap,
             floor_units={c: s for noise in observed.noise.values() for c, s in noise.sigma.items()},
             calibrated=all(n.calibrated for n in observed.noise.values()),
+            bounded=observed.bounded,
         ),
         where=searched.energy.shares(),
         answers=tuple(sorted(answers, key=lambda a: -a.probability)),
@@ -573,7 +574,8 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
     best = best if part is None else part.fitted
-    provisional = provisional or len(best.effects) > decide.MOST_CALIBRATED
+    alone = len(observed.runs) == 1  # another law may do the same with this input
+    provisional = provisional or alone or len(best.effects) > decide.MOST_CALIBRATED
     if part is not None:
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
         beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))

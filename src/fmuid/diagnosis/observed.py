@@ -70,12 +70,14 @@ class Observed:
     def from_runs(cls, runs: Sequence[RepeatedRuns]) -> Observed:
         """Estimate each setup's noise, from repeats where available.
 
-        If there are only a few runs without repeats, they are cut into pieces for cross-validation.
+        If there is a single experiment, or only a few runs without repeats, they are cut into pieces for
+        cross-validation.
         """
         setups = dict.fromkeys(run.setup for run in runs)
         noise = {s: estimate_noise([r for r in runs if r.setup == s]) for s in setups}
         pieces = min(_PIECES, *(len(r.time) // _SHORTEST for r in runs))
-        if len(runs) < _FEW and pieces > 1 and all(r.n_repeats == 1 for r in runs):
+        few = len(runs) == 1 or (len(runs) < _FEW and all(r.n_repeats == 1 for r in runs))
+        if few and pieces > 1:
             noise = {s: replace(n, pieces=pieces) for s, n in noise.items()}
         return cls(tuple(runs), noise)
 

@@ -197,7 +197,7 @@ def _reduction(closure: Mapping[str, Any]) -> str:
 
 def _provisional(diagnosis: Mapping[str, Any]) -> str:
     """Return why a verdict is not certain."""
-    if not diagnosis["gap"].get("calibrated", True):
+    if diagnosis["gap"].get("bounded"):
         return "This is provisional: no run was repeated, so slow noise is not excluded."
     return "This is provisional: something that the catalogue does not contain may explain the gap as well."
 
@@ -257,14 +257,14 @@ def _gap_text(gap: Mapping[str, Any]) -> str:
 
 def _more_data(diagnosis: Mapping[str, Any]) -> str:
     """Return the runs to record if the data cannot decide: see `powerless` in `diagnose_subject`."""
-    if diagnosis["gap"]["present"] and not diagnosis["gap"]["calibrated"]:
+    if diagnosis["gap"]["present"] and diagnosis["gap"].get("bounded"):
         return (
             "repeat a run as it is, and record one with a different input; what is left may be slow noise,"
             " which only repeats show"
         )
     if diagnosis["gap"]["present"] or diagnosis.get("power"):
         return (
-            "record a run with a different input; a single experiment, even if repeated, cannot be cross-validated"
+            "record a run with a different input; a single experiment as short as this cannot be cross-validated"
         )
     return "record runs with different or larger inputs, and more repeats; the data would show no plausible effect"
 

@@ -105,6 +105,8 @@ class Gap:
         Standard deviation of each signal's noise, in its unit.
     calibrated
         Whether every experiment had the five runs that the floor needs.
+    bounded
+        Whether the floor is only a bound, because no run was repeated.
     """
 
     present: bool
@@ -114,6 +116,7 @@ class Gap:
     corrected: float
     floor_units: Mapping[str, float]
     calibrated: bool = True
+    bounded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -589,6 +592,7 @@ class Diagnosis:
                 "corrected": self.gap.corrected,
                 "floor_units": dict(self.gap.floor_units),
                 "calibrated": self.gap.calibrated,
+                "bounded": self.gap.bounded,
             },
             "where": [_share(s) for s in self.where],
             "answers": [

@@ -284,12 +284,15 @@ def whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener:
     wanted = np.where(known, np.nan_to_num(run.given) ** 2 - noise.repeating, noise.variance)
     scale = np.sqrt(np.divide(np.maximum(wanted, 0.0), noise.variance, where=noise.variance > 0.0, out=wanted * 0))
     rounding = run.n_repeats * _rounding_spectrum(run, noise)
-    factors = []
-    bands = [slice(*np.searchsorted(band_of, (band, band + 1))) for band in range(len(noise.covariance))]
-    for band, covariance in zip(bands, noise.covariance, strict=True):
-        repeating = np.diag(np.mean(rounding[:, band], axis=1)) if band.start < band.stop else 0.0
+    factors, bands = [], []
+    for k, covariance in enumerate(noise.covariance):
+        band = slice(*np.searchsorted(band_of, (k, k + 1)))
+        if band.start == band.stop:  # a piece of a run has fewer low frequencies
+            continue
+        repeating = np.diag(np.mean(rounding[:, band], axis=1))
         lower = cholesky(scale[:, None] * covariance * scale + repeating, lower=True)
         factors.append(solve_triangular(lower, np.eye(len(lower)), lower=True))
+        bands.append(band)
     lowest = scale**2 * np.diagonal(noise.covariance[0])
     mean_variance = np.maximum(n * scale**2 * noise.mean_variance, lowest) + rounding[:, 0]
     return Whitener(
