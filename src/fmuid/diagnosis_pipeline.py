@@ -26,7 +26,7 @@ from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import Fitted, estimates, refit_only
 from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_corrected
 from fmuid.diagnosis.cross_validation import share_closed
-from fmuid.diagnosis.decide import CLOSURE_THAT_FINISHES, odds_of_starts, tolerances
+from fmuid.diagnosis.decide import GAIN_OF_A_SECOND, odds_of_starts, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
@@ -96,9 +96,9 @@ def with_starts_of_runs(
 ) -> tuple[Campaign, str] | None:
     """Return the campaign with start states that are estimated for each run, and a note.
 
-    None unless these explain a third of the gap, and are likelier than the best explanation; a firm verdict stays.
-    A log that begins in motion may start at the model's outputs and depart from them in what follows, unless every
-    state is measured.
+    None unless these explain as much of the gap as a second effect has to, and are likelier than the best
+    explanation; a firm verdict stays. A log that begins in motion may start at the model's outputs and depart from
+    them in what follows, unless every state is measured.
     """
     verdict, explained = outcome.diagnosis.verdict, outcome.corrected
     firm = verdict.kind == "complete" or (verdict.kind == "effect" and not verdict.provisional)
@@ -119,7 +119,7 @@ def with_starts_of_runs(
     if fit is None or odds_of_starts(fit, outcome.nominal, explained, observed) <= 0.0:
         return None
     left = gap(fit.residuals, observed)
-    if share_closed(outcome.nominal.gap, left) < CLOSURE_THAT_FINISHES:
+    if share_closed(outcome.nominal.gap, left) < GAIN_OF_A_SECOND:
         return None
     note = (
         f"The runs start elsewhere than the model: estimated start states of each run leave {left:.3g} of"

@@ -98,7 +98,8 @@ def test_states_pass_on_from_knot_to_knot(steps, n):
     driven = rng.normal(size=(steps, n, parameters))
     observed = rng.normal(size=(steps + 1, outputs, n))
     direct = rng.normal(size=(steps + 1, outputs, parameters))
-    response = LinearResponse(time, np.arange(steps + 1.0), transition, driven, observed, direct)
+    rates = rng.normal(size=(steps + 1, n, parameters))
+    response = LinearResponse(time, np.arange(steps + 1.0), transition, driven, observed, direct, rates)
     courses = rng.normal(size=(4, steps + 1))
     moved = response.to(1, courses)
     for course, of_one in zip(courses, moved, strict=True):

@@ -29,8 +29,11 @@ end Room;
 STEP, SAMPLES, RUNS = 20.0, 240, 4
 
 
-def logs(folder, conductance, seed=1):
-    """CSV files of a room whose conductance is a function of its temperature, of the wind and of time."""
+def logs(folder, conductance, seed=1, begins=(0.0,) * RUNS):
+    """CSV files of a room whose conductance is a function of its temperature, of the wind and of a run's time.
+
+    Logs count time from `begins`.
+    """
     rng = np.random.default_rng(seed)
     paths = {}
     for run in range(RUNS):
@@ -47,17 +50,17 @@ def logs(folder, conductance, seed=1):
                 value += STEP / 10 * (power[k] - loss * (value - outdoors[k])) / 2e4
         seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
         gust = wind + 0.5 * rng.standard_normal(SAMPLES)  # a worse anemometer
-        rows = np.column_stack([time, power, outdoors, wind, gust, seen])
+        rows = np.column_stack([begins[run] + time, power, outdoors, wind, gust, seen])
         file = folder / f"day_{run}.csv"
         np.savetxt(file, rows, "%.6f", ",", header="time,P [W],T_out [K],wind [m/s],gust [m/s],T [K]", comments="")
         paths[file.stem] = file
     return paths
 
 
-def campaign(tmp_path, conductance):
+def campaign(tmp_path, conductance, **how):
     source = tmp_path / "Room.mo"
     source.write_text(ROOM)
-    return fmuid.start([*logs(tmp_path, conductance).values()], model=source, out=tmp_path / "room")
+    return fmuid.start([*logs(tmp_path, conductance, **how).values()], model=source, out=tmp_path / "room")
 
 
 def test_a_conductance_that_depends_on_a_column_the_model_does_not_use(tmp_path):
@@ -109,6 +112,56 @@ def test_a_shape_that_another_size_would_change_is_judged_at_the_size_that_fits(
     text = made_catalogue(campaign(tmp_path, fouled), load_simulator)
     assert text[text.index("varies@") :].startswith("varies@G(time)")
     assert "exp(-abs(time - 0)/G.varies.time_width)" in text
+
+
+def test_a_run_has_a_time_of_its_own_where_logs_count_from_elsewhere(tmp_path):
+    """Every run opens the window anew, and the logs are cut out of a longer one."""
+    begun = campaign(
+        tmp_path, lambda _value, _wind, time: 20.0 * (1.0 + time / 6000.0), begins=(800.0, 9000.0, 3000.0, 700.0)
+    )
+    diagnosed = fmuid.diagnose(begun, out=tmp_path / "out", law=False)
+    assert diagnosed.corrected.effects == ("varies@G(run_time)",)
+    page = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert page["corrected_differs"] < 0.05
+    assert "G grows in the course of a run by 0.0167 % per s, from 20 to " in json.dumps(page)
+
+
+WALL = """
+model Wall "A heated room behind a wall"
+  parameter Real G(unit = "W/K") = 20 "Room to wall";
+  input Real P(unit = "W") "Heater";
+  output Real T(unit = "K", start = 293, fixed = true) "Room";
+  output Real T_wall(unit = "K", start = 293, fixed = true) "Wall";
+equation
+  5e4*der(T) = P - G*(T - T_wall);
+  2e5*der(T_wall) = G*(T - T_wall) - 30*(T_wall - 278);
+end Wall;
+"""
+
+
+def test_what_leaves_one_store_enters_the_other(tmp_path):
+    """A conductance in two balances varies in both of them alike."""
+    rng, time = np.random.default_rng(1), STEP * np.arange(SAMPLES)
+    for run in range(RUNS):
+        power = 300.0 + 600.0 * np.repeat(rng.integers(0, 3, SAMPLES // 40), 40)
+        temperatures = np.full((SAMPLES, 2), 293.0)
+        room, wall = temperatures[0]
+        for k in range(SAMPLES - 1):
+            for _ in range(10):
+                flow = 20.0 * (1.0 + time[k] / 6000.0) * (room - wall)
+                room += STEP / 10 * (power[k] - flow) / 5e4
+                wall += STEP / 10 * (flow - 30.0 * (wall - 278.0)) / 2e5
+            temperatures[k + 1] = room, wall
+        seen = temperatures + 0.01 * rng.standard_normal((SAMPLES, 2))
+        header = "time,P [W],T [K],T_wall [K]"
+        np.savetxt(
+            tmp_path / f"r{run}.csv", np.column_stack([time, power, seen]), "%.6f", ",", header=header, comments=""
+        )
+    (tmp_path / "Wall.mo").write_text(WALL)
+    begun = fmuid.start(sorted(tmp_path.glob("*.csv")), model=tmp_path / "Wall.mo", out=tmp_path / "wall")
+    text = made_catalogue(begun, load_simulator)
+    assert "varies@G(time)" in text
+    assert "varies@G:" not in text
 
 
 @pytest.mark.parametrize("law", ["loss", "radiation"])

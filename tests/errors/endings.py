@@ -128,7 +128,8 @@ def trusted(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 def shown(line: str) -> str:
     """Return a line without what is different every time."""
-    return re.sub(r"\d+ of \d+ candidates", "n of m candidates", re.sub(r" by \w+, \d+ eval.*", "", line))
+    line = re.sub(r"\d+ of \d+ (candidates.*) \(\d+\)$", r"n of m \1", line)
+    return re.sub(r" by \w+, \d+ eval.*", "", line)
 
 
 JOURNAL, DIAGNOSIS = "runs/bench/history.journal", "runs/bench-diagnosis/diagnosis.journal"
@@ -143,7 +144,7 @@ ENDINGS = [
     Ending("a script whose work is not under a main guard", "study.py", 1, "worker pool", script, as_a_script, "python"),
     Ending("a full disk for printed output", "check bench", 2, "the output", end=into_a_full_disk),
     Ending("a `tie` without a value at the start", IDENTIFY, 1, "the start point fails", stage('free = ["m"]\ntie = { d = "(m - 9)**0.5" }')),
-    Ending("a `tie` without a value at some points", IDENTIFY, 1, "candidates", stage('free = ["m"]\ntie = { d = "(1.1 - m)**0.5" }\nsolver = "bobyqa"')),
+    Ending("a `tie` without a value at some points", IDENTIFY, 0, "candidates", stage('free = ["m"]\ntie = { d = "(1.1 - m)**0.5" }\nsolver = "bobyqa"')),
     Ending("a user's criterion that raises", f"{IDENTIFY} --trust", 1, "the start point fails", stage(f"criteria = [{USER}]"), trusted),
     Ending("a sensor with the wrong sign", IDENTIFY, 0, "with the opposite sign", scaled(-1.0)),
     Ending("degrees for radians", IDENTIFY, 0, "check its unit", scaled(57.29578)),

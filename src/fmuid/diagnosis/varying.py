@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 
 import msgspec
 import numpy as np
@@ -33,15 +33,17 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
 from fmuid.effects.effect import Effect
 from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws, varying_id
-from fmuid.identification.problem.cases import LOGGED, logged
+from fmuid.identification.problem.cases import LOGGED, RUN_TIME, logged
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearResponse
 
 TIME, WARMTH, COEFFICIENT = "time", "warmth", "parameter"
+_OF_RUN = RUN_TIME.removeprefix(LOGGED)
 _MOST = 10  # coefficients that vary, built into a model
 _EACH = 4  # of one parameter
 _SHARE = 0.25  # least score, as a share of the best one
 _ALIKE = 1e-4  # courses whose correlation is within this of 1 are the same
+_ONE_FLOW = 1e-6  # relative: what else there is of rates in proportion, beyond rounding
 _MOVES = 1e-3  # relative to its size: what moves less counts as constant
 _FEW = 8  # states: in a model with more, only those near a component may change it
 _ABOUT_ONE = (0.7, 1.4)  # factors by which the size of a law may change that is not linear in it
@@ -60,7 +62,7 @@ class Source:
     Attributes
     ----------
     name
-        As in ids: a variable, a signal, a column or `TIME`.
+        As in ids: a variable, a signal, a column, or time, from its origin in the logs or from a run's beginning.
     text
         In Modelica.
     courses
@@ -225,7 +227,7 @@ def _lines(
         port = Port(one.coefficient.name, "parameter", "parameter", (), (source.unit, one.coefficient.unit), {})  # type: ignore[arg-type]
         usual = source.near or source.name in _measured(subject)
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
-        inputs = {source.text: source.unit} if source.column else {}
+        inputs = {source.text: source.unit} if source.text.startswith(LOGGED) else {}
         over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs, among)
         over = replace(over, name=_apart(one)) if apart else over
         lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
@@ -318,7 +320,28 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
         courses.append(dict(zip(names, row, strict=True)) | driven)
         values = {**case.task.start_values, **subject.model.start_values(case, known)}
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
+    places = {n: k for n, k in places.items() if n not in _of_one_flow(places, responses)}
     return _Setup(flat, linear, {n: by_name[n] for n in places}, places, index, courses, responses, known)
+
+
+def _of_one_flow(places: Mapping[str, int], responses: Sequence[LinearResponse]) -> set[str]:
+    """Return the places of parameters in two equations where they set one flow, which both stores share.
+
+    What leaves one store enters the other, and action is reaction: such a parameter varies in both equations
+    alike. The two places then move the rates of the states in proportion.
+    """
+    shared = set[str]()
+    for one, other in combinations((n for n in places if ":" in n), 2):
+        if one.partition(":")[0] == other.partition(":")[0]:
+            rates = [np.concatenate([r.rates[:, :, places[n]] for r in responses]) for n in (one, other)]
+            sizes = [float(np.linalg.norm(r)) for r in rates]
+            if min(sizes) > 0.0:
+                singular = np.linalg.svd(
+                    np.hstack([r / s for r, s in zip(rates, sizes, strict=True)]), compute_uv=False
+                )
+                if singular[1] <= _ONE_FLOW * singular[0]:
+                    shared |= {one, other}
+    return shared
 
 
 def _without_source(fmu: Fmu) -> dict[str, Coefficient]:
@@ -380,6 +403,8 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
         values = tuple(np.mean([one[column].values for one in log], axis=0) for log in logs)
         offer(Source(column, logged(column), logs[0][0][column].unit, values, column=True))
     offer(Source(TIME, TIME, "s", tuple(case.time for case, _ in cases)))
+    begun = tuple(case.columns[RUN_TIME][1] for case, _ in cases)
+    offer(Source(_OF_RUN, RUN_TIME, "s", begun))
     return sources
 
 
@@ -642,7 +667,7 @@ class Course:
         """Return it in words and numbers."""
         ends = self.y[0], self.y[-1]
         moves = "grows" if ends[1] > ends[0] else "falls"
-        over = "over time" if self.over == TIME else f"with {self.over}"
+        over = {TIME: "over time", _OF_RUN: "in the course of a run"}.get(self.over, f"with {self.over}")
         unit = "" if self.over_unit == "1" else f" {self.over_unit}"
         of_unit = "" if self.unit == "1" else f" {self.unit}"
         rate = "" if self.slope is None else f" by {100.0 * abs(self.slope):.3g} % per{unit or ' unit'}"

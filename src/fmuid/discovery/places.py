@@ -17,6 +17,7 @@ from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis.variants import model_exchange, observed_states, state_places
 from fmuid.discovery.terms import HIDDEN, SHAPES, Kind, Quantity, Term, library, names_in
 from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
+from fmuid.identification.problem.cases import RUN_TIME
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.model_source import flat_model
 
@@ -133,7 +134,7 @@ def _with_terms(
     around = [{n: one[n] for n in shared} for one in spot.courses]
     units = {**units, **{n: unit for n, (unit, _) in columns.items()}, TIME: "s"}
     every = [q for n in shared if (q := _quantity(n, n, units.get(n, "1"), around)) is not None]
-    quantities = _apart([q for q in every if q.name != TIME], around)
+    quantities = _apart([q for q in every if q.name not in (TIME, RUN_TIME)], around)
     elsewhere = {*near, TIME, *columns}.difference(names)
     away = [_from_start(q, around) for q in _apart(every, around) if q.name in elsewhere]
     terms = _distinct(library(*here, time, away[:_OTHERS]), around, time)

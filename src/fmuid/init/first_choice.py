@@ -37,8 +37,7 @@ _LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do n
 _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
 _DEPENDS = 0.05  # relative change of an estimate with a fixed value
-_FADED = 0.05  # of the largest response to a state at the start
-_BRIEFLY = 0.2  # of a run: estimates hardly depend on a start that fades sooner
+_MATTERS = 0.25  # noise floors (RMS over a run): a smaller gap does not matter to a diagnosis either
 _ELSEWHERE = 10.0  # standard deviations of noise between the first samples of a run and of the model
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 
@@ -226,39 +225,47 @@ def restarts(
     if away is not None:
         chosen = Restarts("auto", str(away))
         return chosen, (str(chosen),)
-    elsewhere = starts_elsewhere(model, runs, mapping, runner)
-    if elsewhere is None:
+    start = starts_elsewhere(model, runs, mapping, runner)
+    if start is None:
         return None, ()
+    elsewhere, run, sigmas = start
     try:
         held = [s for s in model.states if s not in states_of(model, whole=True)]
     except ProblemError as error:
         return None, (f"the model cannot start as the runs do: {elsewhere}, but {error.what}",)
-    if not start_lasts(model, runs[0], mapping):
+    if not start_matters(model, run, mapping, sigmas):
         return None, ()
     chosen = Restarts(math.inf, elsewhere)
     left = f"; {', '.join(held)}, which the FMU calculates, cannot be estimated" if held else ""
     return chosen, (f"{chosen}{left}",)
 
 
-def start_lasts(model: Simulator, run: Experiment, mapping: Mapping[str, str]) -> bool:
-    """Return whether the states at the start move the outputs for a good part of a run.
+def start_matters(
+    model: Simulator, run: Experiment, mapping: Mapping[str, str], sigmas: Mapping[str, tuple[float, float]]
+) -> bool:
+    """Return whether a run that starts elsewhere leaves a gap that matters, and does not forget its start at once.
 
-    If not, estimating them takes several simulations for one, and hardly changes what the run says.
+    If not, estimating start states takes several simulations for one, and hardly changes what the run says.
+    `sigmas` are the distance of each output's first sample from the model's and the noise.
     """
     with suppress(SimulationError):
-        moved = np.abs(in_segments(model, run, mapping, math.inf).state_tangents({}))
-        largest = moved.max(axis=2, keepdims=True)
-        lasting = (moved > _FADED * largest).mean(axis=2)
-        return bool((lasting > _BRIEFLY).any())
+        cut = in_segments(model, run, mapping, math.inf)
+        apart, noise = np.array([sigmas[n] for n in cut.task.outputs]).T
+        moved = cut.state_tangents({}) / noise[:, None]
+        moved /= np.maximum(np.sqrt((moved**2).sum(axis=(1, 2), keepdims=True)), 1e-300)
+        change, *_ = np.linalg.lstsq(moved[:, :, 0].T, apart / noise, rcond=None)
+        left = np.tensordot(change, moved, axes=1)
+        return bool(np.sqrt((left**2).mean(axis=1)).max() > _MATTERS)
     return True
 
 
 def starts_elsewhere(
     model: Simulator, runs: Sequence[Experiment], mapping: Mapping[str, str], runner: Runner
-) -> str | None:
+) -> tuple[str, Experiment, dict[str, tuple[float, float]]] | None:
     """Return in words where a run begins and where the model does, beyond noise and one sample's motion.
 
-    A difference that other values of the parameters could make does not count.
+    A difference that other values of the parameters could make does not count. Also return the run, and by output
+    how far its first sample is from the model's, with the standard deviation of its noise.
     """
     parameters = [v for v in model.variables.values() if v.causality == "parameter" and v.start]
     parameters = [v for v in parameters if v.type in ("Real", "Float64")][:_MAX_CANDIDATES]
@@ -276,7 +283,8 @@ def starts_elsewhere(
             name = one.outputs[k]
             unit = model.variables[name].unit or ""
             begins = f"{name} = {measured[k, 0]:.3g} {unit}".rstrip()
-            return f"'{run.id}' starts at {begins}, the model at {first[k, 0]:.3g}"
+            sigmas = dict(zip(one.outputs, zip(measured[:, 0] - first[:, 0], noise, strict=True), strict=True))
+            return f"'{run.id}' starts at {begins}, the model at {first[k, 0]:.3g}", run, sigmas
     return None
 
 

@@ -40,6 +40,8 @@ class LinearResponse:
         each parameter adds.
     observed, direct
         (K, q, n) and (K, q, P) derivatives of the outputs by the states, and by the relative changes.
+    rates
+        (K, n, P) derivatives of the states' rates by the relative changes.
     """
 
     time: FloatArray
@@ -48,6 +50,7 @@ class LinearResponse:
     driven: FloatArray
     observed: FloatArray
     direct: FloatArray
+    rates: FloatArray
 
     def to(self, parameter: int, courses: FloatArray) -> FloatArray:
         """Return the (R, q, N) response of the outputs to (R, N) courses of a parameter's relative change."""
@@ -358,7 +361,7 @@ def _response(
     joined[:, :nx, nx:] = np.eye(nx) * step
     passed = expm(joined) if nx else joined
     driven = passed[:, :nx, nx:] @ (0.5 * (b[1:] + b[:-1]))
-    return LinearResponse(time, knots, passed[:, :nx, :nx], driven, *shown)
+    return LinearResponse(time, knots, passed[:, :nx, :nx], driven, *shown, b)
 
 
 def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:

@@ -24,6 +24,7 @@ from fmuid.identification.problem.criteria import Criterion, Target, prepare, wh
 from fmuid.simulation.simulator import Simulator, Task
 
 LOGGED = "logged."  # begins the names of inputs that are columns which the plain model does not use
+RUN_TIME = LOGGED + "run_time"  # the time since a run began: logs may count time from elsewhere
 _T = TypeVar("_T")
 _Set = tuple[str, str, Conversion]
 """A value set on a model: the variable, the parameter it comes from, and the conversion between them."""
@@ -485,9 +486,12 @@ def _logged(
 
 
 def _columns(group: Sequence[Experiment]) -> dict[str, tuple[str, FloatArray]]:
-    """Return unit and mean over repeats of the columns that all of them have and the plain model does not use."""
+    """Return unit and mean over repeats of the columns that all of them have and the plain model does not use.
+
+    The time since the run began is one of them.
+    """
     common = [n for n in group[0].unused if all(n in e.unused for e in group)]
-    return {
+    return {RUN_TIME: ("s", group[0].time - group[0].time[0])} | {
         logged(n): (group[0].unused[n].unit, np.asarray(np.mean([e.unused[n].values for e in group], axis=0)))
         for n in common
     }
