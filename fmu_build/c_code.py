@@ -115,13 +115,13 @@ def c_code(functions: Mapping[str, ca.Function], prefix: str = "model_", paramet
         parts += [writer.write(head="static "), _LAWS.format(name=f"{prefix}laws", on=writer.name)]
         work["laws"] = (1, 1, writer.slots)
     for name, function in functions.items():
-        writer = _Writer(f"{prefix}{name}", function, tables)
+        writer = _Writer(f"{prefix}{name}", function, tables, parameters)
         version = versions[name]
         if version is None:
             parts.append(writer.write())
             slots = writer.slots
         else:
-            idle = _Writer(f"{prefix}{name}_idle", version[1], tables)
+            idle = _Writer(f"{prefix}{name}_idle", version[1], tables, parameters)
             parts.append(idle.write(head="static "))
             parts.append(writer.write(first=_FIRST_IDLE.format(idle=idle.name)))
             slots = max(writer.slots, idle.slots)
@@ -175,12 +175,15 @@ _Tree = tuple[str, list[Leaf], int]
 
 
 def _guards(
-    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str], results: Container[Node]
+    operations: Sequence[tuple[int, tuple[Node, ...]]],
+    leaf: Mapping[Node, Leaf | str],
+    results: Container[Node],
+    parameters: int | None,
 ) -> dict[Node, _Tree]:
     """Return the conditions under which values are needed: those of the only branches that use them.
 
-    There are few such conditions, and they are short and depend on arguments alone, such as whether a parameter is
-    zero.
+    There are few such conditions, and they are short and depend on parameters alone, such as whether one is zero.
+    Those that change during a simulation would take the compiler longer, and the processor no less.
     """
     always: frozenset[Node] = frozenset([-1])
     needed = {node: always for node in range(len(operations)) if node in results}
@@ -191,7 +194,7 @@ def _guards(
             use = frozenset(given[:1]) if op == ca.OP_IF_ELSE_ZERO and place == 1 else needed_here
             either = needed.get(below, frozenset()) | use
             needed[below] = either if len(either) <= _MOST_CONDITIONS else always
-    short = _short(operations, leaf)
+    short = _short(operations, leaf, parameters)
     guards: dict[Node, _Tree] = {}
     for node, on in needed.items():
         whatever = any(operations[c][0] == ca.OP_NOT and operations[c][1][0] in on for c in on)
@@ -203,14 +206,17 @@ def _guards(
 
 
 def _short(
-    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str]
+    operations: Sequence[tuple[int, tuple[Node, ...]]], leaf: Mapping[Node, Leaf | str], parameters: int | None
 ) -> dict[Node, _Tree]:
-    """Return the trees of values that take few operations from the arguments."""
+    """Return the trees of values that take few operations from the parameters."""
     short: dict[Node, _Tree] = {}
     for node, (op, given) in enumerate(operations):
         at = leaf.get(node)
-        if at is not None:
-            short[node] = (at, [], 0) if isinstance(at, str) else ("{}", [at], 0)
+        if isinstance(at, str):
+            short[node] = at, [], 0
+        elif at is not None:
+            if at[0] == parameters:
+                short[node] = "{}", [at], 0
         elif all(n in short for n in given):
             below = [short[n] for n in given]
             size = 1 + sum(tree[2] for tree in below)
@@ -239,7 +245,7 @@ def _constant(value: float) -> str:
 class _Trees:
     """The operations of a function as trees: a statement for each value that is used more than once."""
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, parameters: int | None) -> None:
         self._operations: list[tuple[int, tuple[Node, ...]]] = []
         self._leaf: dict[Node, Leaf | str] = {}
         self._results: dict[Node, list[Leaf]] = {}
@@ -266,7 +272,7 @@ class _Trees:
         self._used = [0] * len(self._operations)
         for node in (n for _, given in self._operations for n in given):
             self._used[node] += 1
-        self._guards = _guards(self._operations, self._leaf, self._results)
+        self._guards = _guards(self._operations, self._leaf, self._results, parameters)
         self._trees: dict[Node, _Tree] = {}
         self._statements: list[_Statement] = []
         self._copies: list[_Statement] = []
@@ -316,12 +322,12 @@ class _Trees:
 
 
 class _Writer:
-    def __init__(self, name: str, function: ca.Function, tables: _Tables) -> None:
+    def __init__(self, name: str, function: ca.Function, tables: _Tables, parameters: int | None = None) -> None:
         self.name = name
         self.tables = tables
         self.slots = 0
         self._slot: dict[Node, int] = {}
-        self._statements = _Trees(function).statements()
+        self._statements = _Trees(function, parameters).statements()
         self._of = {s.node: s for s in self._statements}
         self._used = {node for s in self._statements for argument, node in s.leaves if argument == -1}
 

@@ -12,6 +12,7 @@ from fmu_build.c_code import c_code, lengths, wrapped
 from fmu_build.elimination import plan
 from fmu_build.graph import SX, Gradient, Graph, Substitution, is_number, key
 from fmu_build.straight import GROWTH, is_short, straight_code
+from fmu_build.switches import switching_functions
 
 Functions = dict[str, ca.Function]
 PARAMETERS = 3  # position of p among the arguments that most functions share
@@ -283,6 +284,7 @@ def c_files(functions: Functions, header: Header) -> Files:
     if not any(few.values()):  # never called: nothing to compile
         unused = functions["move_partials"]
         functions = {**functions, "move_partials": ca.Function(unused.name(), unused.sx_in(), [SX(0, 1)])}
+    functions = {**functions, "switches": switching_functions(functions["derivatives"])}
     seldom = RARE if header.sizes["NY"] else RARE | WITHOUT_LOOPS
     often = c_code({n: f for n, f in functions.items() if n not in seldom}, parameters=PARAMETERS)
     rare = c_code({n: f for n, f in functions.items() if n in seldom})
@@ -298,6 +300,7 @@ def c_files(functions: Functions, header: Header) -> Files:
         lines += macros
         tables += definitions
     by = header.slopes
+    lines += [f"#define MODEL_NSWITCH {functions['switches'].numel_out(0)}"]
     lines += [f"#define MODEL_FEW_{kind} {n}" for kind, n in few.items()]
     kinds = {
         "SLOPE": by.scalars,

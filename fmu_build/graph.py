@@ -23,6 +23,21 @@ def key(node: SX) -> int:
     return int(node.element_hash())
 
 
+# CasADi's operators look for a method ten times as long as these take.
+def plus(a: SX, b: SX) -> SX:
+    """Sum of two scalars."""
+    return SX.binary(ca.OP_ADD, a, b)
+
+
+def times(a: SX, b: SX) -> SX:
+    """Product of two scalars."""
+    return SX.binary(ca.OP_MUL, a, b)
+
+
+def _not(condition: SX) -> SX:
+    return SX.unary(ca.OP_NOT, condition)
+
+
 def is_number(node: SX) -> bool:
     """Whether a scalar expression is a numeric constant."""
     return bool(node.is_constant())
@@ -43,18 +58,19 @@ def if_else(condition: SX, then: SX, otherwise: SX) -> SX:
         return then if float(condition) != 0.0 else otherwise
     if key(then) == key(otherwise):
         return then
-    return if_else_zero(condition, then) + if_else_zero(ca.logic_not(condition), otherwise)
+    return plus(if_else_zero(condition, then), if_else_zero(_not(condition), otherwise))
 
 
 def _guarded_min(a: SX, b: SX, da: SX | None, db: SX | None) -> list[SX]:
     takes_a = SX.binary(ca.OP_LE, a, b)
     parts = [] if da is None else [if_else_zero(takes_a, da)]
-    return parts if db is None else [*parts, if_else_zero(ca.logic_not(takes_a), db)]
+    return parts if db is None else [*parts, if_else_zero(_not(takes_a), db)]
 
 
+_ONE, _MINUS = SX(1.0), SX(-1.0)
 # Partial derivatives of the unary operations: f(argument, value).
 _UNARY: dict[int, Callable[[SX, SX], SX]] = {
-    ca.OP_NEG: lambda x, v: SX(-1.0),
+    ca.OP_NEG: lambda x, v: _MINUS,
     ca.OP_EXP: lambda x, v: v,
     ca.OP_EXPM1: lambda x, v: v + 1,
     ca.OP_LOG: lambda x, v: 1 / x,
@@ -76,8 +92,8 @@ _UNARY: dict[int, Callable[[SX, SX], SX]] = {
 }
 # The partial derivatives of the binary ones: f(first, second, value) -> (by first, by second).
 _BINARY: dict[int, Callable[[SX, SX, SX], tuple[SX, SX]]] = {
-    ca.OP_ADD: lambda a, b, v: (SX(1.0), SX(1.0)),
-    ca.OP_SUB: lambda a, b, v: (SX(1.0), SX(-1.0)),
+    ca.OP_ADD: lambda a, b, v: (_ONE, _ONE),
+    ca.OP_SUB: lambda a, b, v: (_ONE, _MINUS),
     ca.OP_MUL: lambda a, b, v: (b, a),
     ca.OP_DIV: lambda a, b, v: (1 / b, -v / b),
     ca.OP_POW: lambda a, b, v: (b * a ** (b - 1), if_else_zero(a > 0, ca.log(a) * v)),
@@ -146,7 +162,7 @@ class Graph:
 
         def visit(n: SX, parts: list[Gradient]) -> Gradient:
             if n.is_symbolic():
-                return {key(n): SX(1.0)}
+                return {key(n): _ONE}
             if not any(parts):
                 return {}
             return _chain(n, parts)
@@ -225,8 +241,8 @@ def _weighted(terms: Iterable[tuple[SX, Gradient]]) -> Gradient:
             elif is_number(derivative) and float(derivative) == 1.0:
                 term = factor
             else:
-                term = factor * derivative
-            out[symbol] = out[symbol] + term if symbol in out else term
+                term = times(factor, derivative)
+            out[symbol] = plus(out[symbol], term) if symbol in out else term
     return {s: d for s, d in out.items() if not (is_number(d) and float(d) == 0.0)}
 
 

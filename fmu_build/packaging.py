@@ -24,7 +24,6 @@ from fmu_build.cache import remove_unused, user_cache
 from fmu_build.errors import BuildError
 from fmu_build.model import CompiledModel, Location, Variable
 from fmu_build.model_description import FmiVersion, model_description, states
-from fmu_build.switches import switches_code
 
 DEFAULT_TOLERANCE = 1e-6
 # Contraction into fused operations would make results depend on the processor that the compiler targets. Loops are
@@ -33,26 +32,25 @@ DEFAULT_TOLERANCE = 1e-6
 # Processors reorder instructions themselves: scheduling them takes an eighth of the compiler's time for nothing.
 C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
 # Functions that a simulation seldom calls, or that only pass on a call, are not worth optimising. Equations, which
-# are straight code, gain hardly anything from the second level, which takes twice the time.
+# are straight code, gain nothing from the second level, which takes twice the time.
 _FAST = ("-O2", "-funroll-loops", "-fno-tree-vectorize", "-fno-schedule-insns2")
 _VECTORS = ("-O3",)
-_STRAIGHT = ("-O1", "-fgcse", "-fexpensive-optimizations")
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
 Levels = Sequence[tuple[tuple[str, ...], tuple[str, ...]]]
 # What depends on the model, compiled for each of them ...
 _OF_MODEL: Levels = (
-    (_STRAIGHT, ("model.c",)),
-    (_STRAIGHT, ("switches.c",)),
+    (_PLAIN, ("model.c",)),
     (_FAST, ("equations.c", "stages.c", "dense_output.c")),
     (_SELDOM, ("model_rare.c", "model_data.c")),
 )
 # ... and what does not.
-_GENERATED = {"model.c", "model_rare.c", "switches.c"}
+_GENERATED = {"model.c", "model_rare.c"}
 _RUNTIME: Levels = (
     (_FAST, ("integrator.c", "linear.c", "past.c", "transport.c")),
     (_VECTORS, ("sensitivity.c",)),
-    (_PLAIN, ("directions.c", "events.c", "kinks.c", "least_norm.c", "pivoting.c", "simulate.c", "variables.c")),
+    (_PLAIN, ("directions.c", "evaluation.c", "events.c", "kinks.c", "least_norm.c", "pivoting.c")),
+    (_PLAIN, ("simulate.c", "variables.c")),
     (_SELDOM, ("arrays.c", "assertions.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
     (_SELDOM, ("delays.c", "sensitivity_rare.c", "pivoted_blocks.c")),
 )
@@ -147,7 +145,6 @@ def _sources(model: CompiledModel, fmi: FmiVersion) -> dict[str, str]:
     """All files that the C compiler needs, by name; C files first."""
     headers = resources.files("fmu_build") / "runtime" / "fmi"
     files = {"model.c": model.c_source, "model_rare.c": model.c_rare, **_runtime(fmi), "model.h": model.c_header}
-    files |= switches_code(model.functions.get("derivatives"))
     files["model_config.h"] = configuration(model, _guid(model, fmi))
     files |= {name: (headers / name).read_text() for name in _FMI_HEADERS[fmi]}
     return files

@@ -13,17 +13,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmu_build.c_code import c_code, lengths
-
 _CONSTANT = (3, 4)  # arguments that are parameters, which have no kinks over time
-_SIGNATURE = "int model_switches(const double **arg, double **res, long long int *iw, double *w, int mem)"
-# Never called; only an optimiser could know that.
-_NONE = f"""{_SIGNATURE};
-{_SIGNATURE} {{
-    (void)arg, (void)res, (void)iw, (void)w, (void)mem;
-    return 1;
-}}
-"""
 _MOST = 200  # with more kinks than this, they are ignored
 _DIFFERENCE = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)
 _ARGUMENT = (ca.OP_FABS, ca.OP_SIGN)
@@ -94,24 +84,3 @@ def _in_order(results: Sequence[Any]) -> list[Any]:
             stack.append((node, True))
             stack.extend((node.dep(i), False) for i in range(node.n_dep()))
     return ordered
-
-
-def switches_code(derivatives: Any | None) -> dict[str, str]:
-    """Generate ``switches.c`` and ``switches.h``; without a function there are no switches."""
-    length, sizes, source = 0, {"ARG": 1, "RES": 1, "W": 1}, ""
-    if derivatives is not None and derivatives.is_a("SXFunction"):
-        function = switching_functions(derivatives)
-        length = function.numel_out(0)
-    if length:
-        code = c_code({"switches": function})
-        source, sizes = code.source, lengths([code])
-    lines = [
-        "/* Switching functions of the right-hand side, see fmu_build/switches.py. Generated. */",
-        f"#define MODEL_NSWITCH {length}",
-        *(f"#define SWITCHES_SZ_{name} {size}" for name, size in sizes.items()),
-        f"{_SIGNATURE};",
-    ]
-    return {
-        "switches.c": source or _NONE,
-        "switches.h": "\n".join(lines) + "\n",
-    }

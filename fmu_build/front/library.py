@@ -34,7 +34,7 @@ class Library:
         self.roots = [Path(r).resolve() for r in roots]
         self._standard = standard_folders()
         self._tops: dict[str, ClassDef | None] = {}
-        self._scanned = False
+        self._unnamed: dict[Path, str] | None = None  # texts of files whose names may differ from their classes
         self.stand_ins: set[str] = set()  # classes taken from our own file
         self.file = file.resolve()
         package = _package_folder(self.file)
@@ -77,7 +77,7 @@ class Library:
             package = _package_folder(root / "package.mo")  # the root may be a package itself
             if package is not None and package.name.partition(" ")[0] == name:
                 return self._folder(package)
-        self._scan()
+        self._scan(name)
         if self._tops.get(name):
             return self._tops[name]
         if (_OWN / f"{name}.mo").is_file():
@@ -114,14 +114,13 @@ class Library:
                 versions[name] = version
         return versions
 
-    def _scan(self) -> None:
-        """Search, once, files whose names may differ from those of their classes."""
-        if self._scanned:
-            return
-        self._scanned = True
-        loose = (root for root in self.roots if not (root / "package.mo").is_file())
-        for path in (path for root in loose for path in sorted(root.glob("*.mo"))):
-            within, classes = self._read(path)
+    def _scan(self, name: str) -> None:
+        """Read the files in the roots that may define a class of another name than theirs."""
+        if self._unnamed is None:
+            roots = [root for root in self.roots if not (root / "package.mo").is_file()]
+            self._unnamed = {path: self._text(path) for root in roots for path in sorted(root.glob("*.mo"))}
+        for path in [path for path, text in self._unnamed.items() if name in text]:
+            within, classes = self._parsed(path, self._unnamed.pop(path))
             for definition in classes:
                 if not within and definition.name not in self._tops:
                     self._add("", definition)
@@ -153,14 +152,19 @@ class Library:
         outside.elements.append(definition)
         definition.settle(outside, outside.path)
 
-    def _read(self, path: Path) -> tuple[str, list[ClassDef]]:
+    def _text(self, path: Path) -> str:
         self.used[path] = None
         try:
-            text = path.read_text(encoding="utf-8-sig")
+            return path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
-            text = path.read_text(encoding="latin-1")
             self.warnings.append(f"{path.name}: not UTF-8, so it is read as Latin-1")
+            return path.read_text(encoding="latin-1")
+
+    def _parsed(self, path: Path, text: str) -> tuple[str, list[ClassDef]]:
         return parse(text, path.name, whole=path == self.file)
+
+    def _read(self, path: Path) -> tuple[str, list[ClassDef]]:
+        return self._parsed(path, self._text(path))
 
     def _folder(self, folder: Path) -> ClassDef:
         path = folder / "package.mo"

@@ -4,9 +4,7 @@
 #include "model.h"
 #include "model_config.h"
 #include "model_data.h"
-#include "switches.h"
 
-#define LARGER(a, b) ((a) > (b) ? (a) : (b))
 #define PATTERN(m)                                                                                                  \
     {MODEL_##m##_N, MODEL_##m##_DENSE, MODEL_##m##_NONZEROS, MODEL_##m##_FACTORS, MODEL_##m##_FILLED,               \
      MODEL_##m##_START, MODEL_##m##_ROW, MODEL_##m##_DIAGONAL, MODEL_##m##_COLUMN, MODEL_##m##_PLACE,               \
@@ -23,8 +21,7 @@ const Model model = {
     .nx = MODEL_NX, .nu = MODEL_NU, .np = MODEL_NP, .nd = MODEL_ND, .nz = MODEL_NZ, .ndelay = MODEL_NDELAY,
     .ntransport = MODEL_NTRANSPORT, .nm = MODEL_NM, .ny = MODEL_NY, .nv = MODEL_NV,
     .has_events = MODEL_HAS_EVENTS, .has_integers = MODEL_HAS_INTEGERS, .has_initial = MODEL_HAS_INITIAL,
-    .sz_arg = LARGER(MODEL_SZ_ARG, SWITCHES_SZ_ARG), .sz_res = LARGER(MODEL_SZ_RES, SWITCHES_SZ_RES),
-    .sz_w = LARGER(MODEL_SZ_W, SWITCHES_SZ_W),
+    .sz_arg = MODEL_SZ_ARG, .sz_res = MODEL_SZ_RES, .sz_w = MODEL_SZ_W,
     .n_variables = MODEL_N_VARIABLES, .variables = VARIABLES,
     .p_start = P_START, .u_start = U_START, .constants = CONSTANTS,
     .x_name = X_NAME, .x_scale = X_SCALE, .y_nominal = MODEL_Y_NOMINAL,

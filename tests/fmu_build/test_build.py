@@ -87,6 +87,17 @@ def test_only_files_that_were_read_count_and_new_ones_that_hide_them(tmp_path, m
     assert build(file, "M", tmp_path / "out", roots=[library]).read_bytes() != before
 
 
+def test_of_files_with_other_names_only_those_that_mention_a_class_are_parsed(tmp_path):
+    (tmp_path / "Parts.mo").write_text("model Wheel Real x = 3; end Wheel;")
+    (tmp_path / "Broken.mo").write_text("model Broken ((")
+    source = tmp_path / "model" / "M.mo"
+    source.parent.mkdir()
+    source.write_text("model M Wheel wheel; end M;")
+    flat = load(source, "M", [tmp_path])
+    assert "wheel.x" in flat.variables
+    assert {path.name for path in flat.files} == {"M.mo", "Parts.mo", "Broken.mo"}, "a new class in any counts"
+
+
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_both_versions_of_fmi(tmp_path, fmi):
     fmu = build(MODELS / "Structure.mo", "Structure.RC", tmp_path, fmi=fmi)

@@ -122,7 +122,7 @@ def test_the_runtime_is_compiled_once(tmp_path, monkeypatch):
     assert any(source.startswith("sensitivity") for source in compiled)
     compiled.clear()
     built = package(handmade.relay(), tmp_path)
-    assert {source.partition("_")[0] for source in compiled} == {"model", "switches", "equations"}
+    assert {source.partition("_")[0] for source in compiled} == {"model", "equations"}
     (tmp_path / "no_folder").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "no_folder"))
     assert package(handmade.relay(), tmp_path / "again").read_bytes() == built.read_bytes()
