@@ -161,7 +161,7 @@ build/peers/%/.ready: benchmarks/peers/%.txt
 
 bench: $(DEVELOPER) $(FMUS) $(PENDULUM) $(FORCE_FEEDBACK)/measurements.h5
 	-$(MAKE) --keep-going $(PEERS:%=build/peers/%/.ready)
-	$(BIN)/python benchmarks/bench.py
+	MODELICAPATH=$(MSL):$$MODELICAPATH $(BIN)/python benchmarks/bench.py
 
 # The Modelica Standard Library's examples against its reference results. ROOT: the folder that contains its Modelica folder;
 # REFERENCE: a folder of the Modelica Association's reference results. Continues where it was interrupted.

@@ -10,9 +10,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import chain
@@ -24,6 +25,7 @@ from timing import Times, in_turn
 
 import fmuid
 from fmu_build import build
+from fmu_build.front.standard_folders import standard_folders
 from fmuid.core.errors import FmuidError
 from fmuid.identification.problem.derivatives import Differences, NoiseFloor
 from fmuid.identification.problem.estimation_problem import Problem
@@ -34,8 +36,20 @@ from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Runner, in_process
 from fmuid.simulation.simulator import Simulator, Task
 
-_HELP = ("-c", "import sys; from fmuid.cli import main; sys.argv = ['fmuid', '--help']; sys.exit(main())")
+_FMUID = ("-c", "import sys; from fmuid.cli import main; sys.exit(main())")
 _LONG = 600  # masses of a chain whose run takes some 50 ms
+TRAIN = """model Train
+  import Modelica.Mechanics.Rotational.*;
+  Modelica.Blocks.Sources.Sine sine(f = 1, amplitude = 10);
+  Sources.Torque torque;
+  Components.Inertia J[9](each J = 0.1, each phi(fixed = true), each w(fixed = true));
+  Components.SpringDamper s[8](each c = 1e3, each d = 1);
+  Components.BearingFriction bearing(tau_pos = [0, 0.5; 1, 1]);
+equation
+  connect(sine.y, torque.tau); connect(torque.flange, J[1].flange_a); connect(J[9].flange_b, bearing.flange_a);
+  connect(J[1:8].flange_b, s.flange_a); connect(s.flange_b, J[2:9].flange_a);
+end Train;
+"""
 CAMPAIGN = ROOT / "campaigns" / "force_feedback"
 
 
@@ -317,29 +331,33 @@ def grown(evaluations: int) -> float:
     return (resident_memory(os.getpid()) - begun) / 2**20
 
 
+def _python(*arguments: str | Path) -> Callable[[], object]:
+    return lambda: subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
+
+
 def imports(repeats: int) -> dict[str, float]:
     """Return seconds of `import fmuid` and `fmuid --help` in a new interpreter, beyond the bare one."""
-
-    def run(*arguments: str) -> Callable[[], object]:
-        return lambda: subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
-
-    times = in_turn(
-        {"bare": run("-c", "pass"), "import fmuid": run("-c", "import fmuid"), "fmuid --help": run(*_HELP)},
-        repeats,
-        time.perf_counter,
-    )
-    bare = times.pop("bare").median
+    runs = {"": ("-c", "pass"), "import fmuid": ("-c", "import fmuid"), "fmuid --help": (*_FMUID, "--help")}
+    times = in_turn({what: _python(*command) for what, command in runs.items()}, repeats, time.perf_counter)
+    bare = times.pop("").median
     return {name: measured.median - bare for name, measured in times.items()}
 
 
-def builds(folder: Path, setups: Sequence[str]) -> dict[str, float]:
-    """Return seconds of processor time, compilers included, from Modelica to a new FMU of each setup."""
-    spent = {}
-    for name in setups:
-        begun = sum(os.times()[:4])
-        build(ROOT / "modelica" / "Drives" / "Setups" / f"{name}.mo", f"Drives.Setups.{name}", folder)
-        spent[name] = sum(os.times()[:4]) - begun
-    return spent
+def builds(folder: Path, repeats: int) -> dict[str, float]:
+    """Return seconds of processor time, compilers included, in which a command builds the FMU of a new model."""
+    setups = ROOT / "modelica" / "Drives" / "Setups"
+    models = {f"Drives.Setups.{n}": setups / f"{n}.mo" for n in ("FixedShaft", "FreeShaft", "EccentricLoad")}
+    if standard_folders():
+        models["Train"] = folder / "Train.mo"
+        models["Train"].write_text(TRAIN)
+
+    def build_new(name: str) -> None:
+        with tempfile.TemporaryDirectory() as out:
+            _python(*_FMUID, "build", models[name], name, "--out", out)()
+
+    runs = {name: partial(build_new, name) for name in models}
+    times = in_turn(runs, repeats, lambda: sum(os.times()[2:4]))
+    return {name: measured.median for name, measured in times.items()}
 
 
 def grows(sizes: tuple[int, ...], make: Callable[[int], Callable[[], object]], budget: float) -> dict[int, float]:

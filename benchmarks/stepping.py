@@ -11,13 +11,13 @@ from typing import Any
 
 import fmpy
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "simulation"))
-from fmus import HEADERS, make_oscillator
 from timing import in_turn
 
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
+
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.simulation.fmus import HEADERS, make_oscillator
 
 LOOP = r"""
 #include "fmi2Functions.h"

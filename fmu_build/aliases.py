@@ -188,9 +188,9 @@ def _alias(graph: Graph, residual: SX, candidates: Set[int]) -> tuple[int, int, 
 
 
 def _define(scope: ModelScope, substitute: Substitution, member: SX, root: SX, sign: int) -> None:
-    substitute.define(member, sign * root)
+    substitute.define(member, root if sign == 1 else -root)
     while scope.has_derivative(member):
         if scope.has_input_derivative(root):
             scope.derivative(root)  # raises: derivative of an input
         member, root = scope.derivative_symbol(member), scope.derivative_symbol(root)
-        substitute.define(member, sign * root)
+        substitute.define(member, root if sign == 1 else -root)

@@ -8,7 +8,7 @@ from fmu_build import algebra
 from fmu_build.algebra import Array, Scalar, Value
 from fmu_build.flat_model import Equation as Flat
 from fmu_build.flat_model import Variable
-from fmu_build.graph import SX, key
+from fmu_build.graph import SX, key, minus
 from fmu_build.messages import Message, message
 from fmu_build.scope import ModelScope
 from fmu_build.syntax import (
@@ -160,7 +160,8 @@ def _scalar_equations(scope: ModelScope, equation: Flat) -> list[Equation]:
         ]
     else:
         pairs = _pairs(scope, left, right, at)
-    return [Equation(algebra.sx(a) - algebra.sx(b), at, (algebra.sx(a), algebra.sx(b))) for a, b in pairs]
+    sides = [(algebra.sx(a), algebra.sx(b)) for a, b in pairs]
+    return [Equation(minus(a, b), at, (a, b)) for a, b in sides]
 
 
 def _is_zero(node: Expression) -> bool:

@@ -29,6 +29,11 @@ def plus(a: SX, b: SX) -> SX:
     return SX.binary(ca.OP_ADD, a, b)
 
 
+def minus(a: SX, b: SX) -> SX:
+    """Difference of two scalars."""
+    return SX.binary(ca.OP_SUB, a, b)
+
+
 def times(a: SX, b: SX) -> SX:
     """Product of two scalars."""
     return SX.binary(ca.OP_MUL, a, b)

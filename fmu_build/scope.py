@@ -14,7 +14,7 @@ from fmu_build.errors import InputDerivativeError, ModelicaError
 from fmu_build.expressions import Evaluator
 from fmu_build.flat_model import FlatModel
 from fmu_build.functions import Functions
-from fmu_build.graph import SX, Graph, Substitution, if_else, key
+from fmu_build.graph import SX, Graph, Substitution, if_else, key, plus, times
 from fmu_build.model import derivative_name
 from fmu_build.syntax import Assign, AssignMany, Place, WhenStatement, walk
 from fmu_build.variables import Declarations, Declared, Parameters
@@ -183,12 +183,12 @@ class ModelScope:
         """Total time derivative by the chain rule."""
         if not isinstance(value, SX):
             return 0.0
-        out: Scalar = 0.0
+        out = SX(0.0)
         for k, partial in self.graph.gradient(value).items():
             rate = self._rate(k)
             if rate is not None:
-                out = out + partial * rate
-        return algebra.fold(out) if isinstance(out, SX) else out
+                out = plus(out, times(partial, rate))
+        return algebra.fold(out)
 
     def _rate(self, k: int) -> SX | None:
         if k == key(self.time):

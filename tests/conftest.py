@@ -26,8 +26,6 @@ ROOT = Path(__file__).parents[1]
 FMUS = ROOT / "build" / "fmus"  # where `make fmus` puts them too
 MODELICA = ROOT / "modelica"
 LIBRARY_FOLDERS = standard_folders()
-os.environ["MODELICAPATH"] = ""  # tests ask for a tool's libraries explicitly
-os.environ["FMU_BUILD_CFLAGS"] = "-O0"  # most FMUs of tests take longer to compile than to simulate
 ACTUATOR = ("FixedShaft", "FreeShaft", "EccentricLoad")
 SETUPS = (*ACTUATOR, "LinearAxisOpenLoop", "LinearAxisClosedLoop")
 COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
@@ -50,6 +48,8 @@ def pytest_configure(config: pytest.Config) -> None:
         "--reference-models" if config.getoption("--reference-models") else "" if COMPILER else "no C compiler"
     )
     config.stash[_FALLBACK] = reason
+    os.environ["MODELICAPATH"] = ""  # tests ask for a tool's libraries explicitly
+    os.environ["FMU_BUILD_CFLAGS"] = "-O0"  # most FMUs of tests take longer to compile than to simulate
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:

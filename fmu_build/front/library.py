@@ -5,12 +5,13 @@ A class is read on first lookup, so a model only costs what it uses.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from fmu_build.errors import ModelicaError
 from fmu_build.front.classes import Argument, ClassDef, Redeclaration
-from fmu_build.front.parser import annotation, parse
+from fmu_build.front.parser import KINDS, annotation, parse
 from fmu_build.front.standard_folders import standard_folders
 from fmu_build.syntax import Literal, Place
 
@@ -119,7 +120,10 @@ class Library:
         if self._unnamed is None:
             roots = [root for root in self.roots if not (root / "package.mo").is_file()]
             self._unnamed = {path: self._text(path) for root in roots for path in sorted(root.glob("*.mo"))}
-        for path in [path for path, text in self._unnamed.items() if name in text]:
+        defines = re.compile(
+            rf"\b(?:{'|'.join(KINDS)})(?:\s|//[^\n]*|/\*.*?\*/)+{re.escape(name)}(?!\w)", re.DOTALL
+        )
+        for path in [path for path, text in self._unnamed.items() if defines.search(text)]:
             within, classes = self._parsed(path, self._unnamed.pop(path))
             for definition in classes:
                 if not within and definition.name not in self._tops:

@@ -83,8 +83,8 @@ _KEYWORDS = frozenset(
         while within""",
     )
 )
-_KINDS = frozenset(["class", "model", "record", "block", "connector", "type", "package", "function", "operator"])
-_CLASS_START = _KINDS | {"partial", "encapsulated", "expandable", "pure", "impure"}
+KINDS = frozenset(["class", "model", "record", "block", "connector", "type", "package", "function", "operator"])
+_CLASS_START = KINDS | {"partial", "encapsulated", "expandable", "pure", "impure"}
 _COMPONENT_PREFIXES = frozenset(["flow", "stream", "parameter", "constant", "discrete", "input", "output"])
 _SECTION_START = frozenset(
     ["public", "protected", "equation", "algorithm", "initial", "external", "annotation", "end"]
@@ -284,7 +284,7 @@ class _Parser:
             impure = impure or word == "impure"
             prefix = word if word in ("operator", "expandable") else prefix
         kind = self.token
-        if kind not in _KINDS:
+        if kind not in KINDS:
             self.fail(f"a class is expected here, not '{kind[:40]}'" if kind else None)
         self.i += 1
         if prefix:
@@ -372,7 +372,7 @@ class _Parser:
         try:
             while True:
                 at = tokens.index(name, at + 1)
-                if tokens[at - 1] in _KINDS:
+                if tokens[at - 1] in KINDS:
                     return None
                 if tokens[at - 1] == "end":
                     return at + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -58,6 +59,20 @@ def test_times_are_taken_in_turn():
     times = in_turn({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
     assert "".join(calls) == "ab" * 4
     assert all(len(t.all) == 3 and t.least <= t.median for t in times.values())
+
+
+def test_what_is_measured_is_compiled_as_users_do():
+    asked = "import evaluation, os; print(os.environ.get('FMU_BUILD_CFLAGS'), os.environ.get('MODELICAPATH'))"
+    environment = {k: v for k, v in os.environ.items() if k not in ("FMU_BUILD_CFLAGS", "PYTHONPATH")}
+    done = subprocess.run(
+        [sys.executable, "-c", asked],
+        cwd=ROOT / "benchmarks",
+        env=environment | {"MODELICAPATH": "libraries"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "None libraries\n"
 
 
 @pytest.mark.slow
