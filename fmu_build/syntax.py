@@ -97,6 +97,7 @@ class If(Node):
 
     branches: tuple[tuple[Expression, Expression], ...]
     otherwise: Expression
+    apart: bool = False  # the branches are sides of separate equations
 
 
 @dataclass(frozen=True, slots=True)

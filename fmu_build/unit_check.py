@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
+from itertools import product
 from math import isclose
 from typing import Any
 
@@ -81,7 +83,9 @@ class _Checker:
                     self._alike(dimension, self._unit(value), variable.at)
             yield from self._report()
         for equation in (*self._flat.equations, *self._flat.initial_equations):
-            self._alike(self._unit(equation.left), self._unit(equation.right), equation.at)
+            for left, right in product(_apart(equation.left), _apart(equation.right)):
+                self._alike(self._unit(left), self._unit(right), equation.at)
+            self._unit(equation.right)
             yield from self._report()
         for node in self._flat.asserts:
             self._unit(node.condition)
@@ -123,11 +127,10 @@ class _Checker:
             case Comprehension():
                 return self._unit(node.element)
             case If():
-                unit: Dimension | None = None
-                for condition, branch in node.branches:
+                units = [self._unit(value) for value in (*(branch for _, branch in node.branches), node.otherwise)]
+                for condition, _ in node.branches:
                     self._unit(condition)
-                    unit = self._alike(unit, self._unit(branch), node.at)
-                return self._alike(unit, self._unit(node.otherwise), node.at)
+                return None if node.apart else reduce(lambda a, b: self._alike(a, b, node.at), units)
             case Binary():
                 return self._binary(node)
             case Call():
@@ -170,6 +173,15 @@ class _Checker:
         if name == "sqrt" and first is not None:
             return _power(first, Fraction(1, 2))
         return first if name in _SAME else None
+
+
+def _apart(side: Any) -> Iterator[Any]:
+    """Yield the sides of the separate equations in the branches of an if-equation."""
+    if isinstance(side, If) and side.apart:
+        for value in (*(branch for _, branch in side.branches), side.otherwise):
+            yield from _apart(value)
+    else:
+        yield side
 
 
 def _literal(node: Any) -> float | None:

@@ -149,8 +149,26 @@ def _structural_parameters(flat: FlatModel, more: set[str]) -> set[str]:
     The parameters on which such a parameter depends are used up with it.
     """
     out: set[str] = set()
-    evaluated = (v.name for v in flat.variables.values() if v.evaluate and v.variability == "parameter")
-    left = [*sorted(flat.structural), *sorted(more), *evaluated]
+    for name in (*flat.structural, *more):
+        out |= _with_used(flat, name)
+    for variable in flat.variables.values():
+        if variable.evaluate and variable.variability == "parameter":
+            used = _with_used(flat, variable.name)
+            # ``Evaluate = true`` is a wish, which initial equations do not grant.
+            if not any(_is_open(flat.variables[n]) for n in used):
+                out |= used
+    return out
+
+
+def _is_open(variable: Variable) -> bool:
+    """Whether initial equations determine a parameter."""
+    return True not in (variable.fixed or (True,))
+
+
+def _with_used(flat: FlatModel, name: str) -> set[str]:
+    """Return a parameter and all on which it depends."""
+    out: set[str] = set()
+    left = [name]
     while left:
         name = left.pop()
         variable = flat.variables.get(name)
@@ -192,7 +210,7 @@ class Parameters:
         return value
 
     def _bound(self, name: str, variable: Variable, evaluate: Any) -> Value:
-        if variable.variability == "parameter" and variable.fixed and not any(variable.fixed):
+        if variable.variability == "parameter" and _is_open(variable):
             for scalar in names(name, variable.shape):
                 self.from_initial.append(self._declarations.scalars[scalar])
             return self._declarations.values[name]

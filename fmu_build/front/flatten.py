@@ -663,10 +663,10 @@ def _merge(
         if alike:
             values: list[Expression] = [e.right for e in column]
             left: Expression = column[0].left
-            right: Expression = If(place, tuple(zip(tests, values, strict=False)), values[-1])
+            right: Expression = If(place, tuple(zip(tests, values, strict=False)), values[-1], apart=True)
         else:
             values = [Binary(e.at, "-", e.left, e.right) for e in column]
-            left = If(place, tuple(zip(tests, values, strict=False)), values[-1])
+            left = If(place, tuple(zip(tests, values, strict=False)), values[-1], apart=True)
             right = Literal(at, 0)
         out.append(Equation(left, right, origin, place))
     return out, alike

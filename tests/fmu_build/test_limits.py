@@ -118,6 +118,10 @@ INITIAL = {
         "parameter Real c(fixed = false, start = 3); Real x(start = 2, fixed = true); Real v(start = 0, fixed = true); "
         "Real a(start = 0, fixed = true); equation der(x) = v; der(v) = a; a = 8 - c*x;", {"c": 4, "x": 2},
     ),
+    "by a parameter, on which one depends that is to be evaluated": (
+        "parameter Real n(fixed = false); parameter Real k = 2*n annotation(Evaluate = true); "
+        "Real x(start = 3, fixed = true); initial equation n = x + 1; equation der(x) = -k*x;", {"k": 8, "der(x)": -24},
+    ),
     "with a branch that they choose": (
         "parameter Boolean up(fixed = false); Real y; Real x(start = 2, fixed = true); initial equation up = y > 3; "
         "equation y = 2*x; der(x) = if up then 1 else -1;", {"up": 1, "der(x)": 1},

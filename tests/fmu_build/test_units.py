@@ -55,6 +55,21 @@ def test_units_of_another_scale_are_told_with_it(tmp_path):
     assert findings(tmp_path, GOOD[0], more) == ("M.mo:12: the units differ: 1/s and 0.0166667 1/s",)
 
 
+IF_EQUATIONS = {
+    "q = s; der(v) = F/m; else q = F; der(v) = 2*F/m;": (),
+    "q = s; m*der(v) = F; else m*der(v) = F; q = s;": (),
+    "q = s; der(v) = F/m; else q = F; der(v) = c;": (("m/s2", "N/m"),),
+    "q = s + F; der(v) = F/m; else q = F; der(v) = F/m;": (("m", "N"),),
+}
+
+
+@pytest.mark.parametrize("branches", IF_EQUATIONS)
+def test_branches_of_if_equations_need_not_have_one_unit(tmp_path, branches):
+    """In a curve with a parameter (an ideal switch, a port of a tank) it changes with the branch."""
+    told = findings(tmp_path, f"if s > 1 then {branches} end if;", "  Real q;\n")
+    assert told == tuple(f"M.mo:16: the units differ: {a} and {b}" for a, b in IF_EQUATIONS[branches])
+
+
 DISPLAYED = {
     'unit = "K", displayUnit = "degF"': "",
     'unit = "J", displayUnit = "kWh"': "",
