@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +19,12 @@ if TYPE_CHECKING:
 Causality = Literal["input", "output"]
 SAME_TIMES = 0.1  # sampling intervals: jitter as small as that of rounded times does not count
 NEAR_TIMES = 0.5  # with more jitter than this, samples are no longer counterparts
+
+
+def widened(courses: Sequence[FloatArray], share: float = 0.0) -> tuple[float, float]:
+    """Return the least and the largest of recorded values, with a `share` of their range beyond each."""
+    low, high = (float(of([of(c) for c in courses])) for of in (np.nanmin, np.nanmax))
+    return low - share * (high - low), high + share * (high - low)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from fmu_build.suggest import suggestion
 from fmuid.core.campaign import Campaign, Limit, ModelSpec
 from fmuid.core.errors import CampaignError, FmuError
-from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.core.experiments import Experiment, Measurements, Signal, widened
 from fmuid.core.immutable import FloatArray, frozen_mapping, read_only
 from fmuid.core.units import Conversion, conversion_at
 from fmuid.data.noise.runs import RepeatedRuns
@@ -322,7 +322,7 @@ def _limits(
             for c in recorded
             if name in c.task.inputs
         ]
-        low, high = min(float(u.min()) for u in ranges), max(float(u.max()) for u in ranges)
+        low, high = widened(ranges)
         if low < high:
             limits[back.get(name, name)] = Limit(name, low, high, float(max(slopes)), variables[name].unit)
             assumed.append(
@@ -334,10 +334,9 @@ def _limits(
         means = [
             c.channels[k].mean for c in recorded if len(c.channels) > k and c.channels[k].signal == channel.signal
         ]
-        low, high = min(float(np.nanmin(m)) for m in means), max(float(np.nanmax(m)) for m in means)
-        margin = _BEYOND * (high - low)
-        limits[channel.signal] = Limit(channel.signal, low - margin, high + margin, unit=channel.unit)
-        assumed.append(f"{channel.signal} from {low - margin:.4g} to {high + margin:.4g}")
+        low, high = widened(means, _BEYOND)
+        limits[channel.signal] = Limit(channel.signal, low, high, unit=channel.unit)
+        assumed.append(f"{channel.signal} from {low:.4g} to {high:.4g}")
     return limits, tuple(assumed)
 
 

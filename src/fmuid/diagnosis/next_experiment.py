@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from fmuid.core.errors import SimulationError
+from fmuid.core.experiments import widened
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import NoiseLevel
 from fmuid.diagnosis.candidates import Fitted
@@ -232,10 +233,8 @@ def _near(prediction: FloatArray, case: Case, observed: Observed) -> bool:
     """Return whether a prediction stays near what the runs of the same setup have shown of each signal."""
     for name, course in zip((c.signal for c in case.channels), prediction, strict=True):
         runs = [r for r in observed.runs if r.setup == case.setup and name in r.channels]
-        seen = [r.mean[r.channels.index(name)] for r in runs]
-        low, high = min(map(np.nanmin, seen)), max(map(np.nanmax, seen))
-        margin = _BEYOND * (high - low)
-        if course.min() < low - margin or course.max() > high + margin:
+        low, high = widened([r.mean[r.channels.index(name)] for r in runs], _BEYOND)
+        if course.min() < low or course.max() > high:
             return False
     return True
 

@@ -16,7 +16,7 @@ from fmu_build.suggest import known_names, suggestion
 from fmuid.campaigns.campaign_toml import FILE_NAME, load_campaign
 from fmuid.core.campaign import Interface, ModelSource, Timing
 from fmuid.core.errors import CampaignError, FmuidError, MeasurementsError, UnitError
-from fmuid.core.experiments import Experiment, Measurements, Signal
+from fmuid.core.experiments import Experiment, Measurements, Signal, widened
 from fmuid.core.files import check_folder, path_from, write_atomically
 from fmuid.core.formatting import once_each, shortened
 from fmuid.core.toml_tables import SCHEMAS, toml_text
@@ -287,11 +287,9 @@ def _alone(runs: Sequence[Experiment]) -> set[str]:
     for run in runs:
         for name, signal in run.inputs.items():
             others = [u.inputs[name].values for u in runs if u is not run and name in u.inputs]
-            if others:
-                low, high = min(u.min() for u in others), max(u.max() for u in others)
-                margin = _BEYOND * (high - low)
-                if signal.values.min() < low - margin or signal.values.max() > high + margin:
-                    alone.add(run.id)
+            low, high = widened(others, _BEYOND) if others else (-np.inf, np.inf)
+            if signal.values.min() < low or signal.values.max() > high:
+                alone.add(run.id)
     return alone
 
 
