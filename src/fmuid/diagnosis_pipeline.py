@@ -503,9 +503,18 @@ def _with_law(outcome: Found, law: LawFound) -> Found:
 
 
 def _with_table(outcome: Found, table: Tabulated) -> Found:
-    """Return a diagnosis whose best explanation has a table; a law that it refines has its refined parameters."""
+    """Return a diagnosis whose best explanation has a table; a law that it refines has its refined parameters.
+
+    The verdict no longer has effects that are unnecessary once the shape of another one is right.
+    """
     best, diagnosis = table.best, outcome.diagnosis
-    rest, refines = diagnosis.verdict.rest, not any(r.learned for r in best.refinements)
+    verdict, refines = diagnosis.verdict, not any(r.learned for r in best.refinements)
+    rest = verdict.rest
+    if refines and not verdict.one_of and set(best.effects) < set(verdict.effects):
+        at = {id: outcome.subject.by_id[id].port for id in verdict.effects}
+        left = {at[id] for id in best.effects}
+        ports = tuple(p for p in verdict.ports if p in left or p not in at.values())
+        verdict = replace(verdict, effects=best.effects, ports=ports)
     if rest is not None and refines:
         rest = Rest(best.gap, rest.where) if best.gap > GAP_THAT_MATTERS else None
     effects = tuple(
@@ -516,7 +525,7 @@ def _with_table(outcome: Found, table: Tabulated) -> Found:
     )
     diagnosis = replace(
         diagnosis,
-        verdict=replace(diagnosis.verdict, rest=rest),
+        verdict=replace(verdict, rest=rest),
         best=best,
         gap=replace(diagnosis.gap, corrected=best.gap),
         model={**table.subject.model.expanded(table.fitted.fit.values)},

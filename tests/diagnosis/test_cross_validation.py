@@ -253,6 +253,7 @@ def test_closure_is_the_share_of_the_gap_that_is_gone():
     assert closure(before, lost(-0.1, 0.0, 0.1)) == pytest.approx(1.0)
     assert closure(lost(0.0, 0.0, 0.0), after) == 0.0
     assert closure(after, before) == pytest.approx(-1.0)
+    assert closure(lost(0.01, 0.01, 0.01), before) == -1.0
     assert closure_interval(before, after) == pytest.approx((0.5, 0.5))
     # Also of a gap below one floor.
     assert closure_interval(lost(0.25, 0.25), lost(0.01, 0.01)) == pytest.approx((0.8, 0.8))

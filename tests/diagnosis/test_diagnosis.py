@@ -14,7 +14,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.subject import without_spikes
-from fmuid.diagnosis_pipeline import _beyond_noise
+from fmuid.diagnosis_pipeline import _beyond_noise, _with_table
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
 
@@ -209,6 +209,17 @@ def test_a_complete_model_says_what_would_have_been_seen():
     for factor, kind in ((2.0, "effect"), (0.2, "complete")):
         answer = diagnose_subject(plant({"square": factor * seen["quadratic"]["square"]})).diagnosis
         assert answer.verdict.kind == kind
+
+
+def test_the_verdict_lacks_effects_that_the_right_shape_of_another_makes_unnecessary():
+    diagnosed = diagnose_subject(plant({"a": 0.3}, delay=0.03))
+    verdict, best = diagnosed.diagnosis.verdict, diagnosed.diagnosis.best
+    assert set(verdict.effects) == {"asymmetry", "dead_time"}
+    refined = replace(best, effects=("asymmetry",), refinements=(SimpleNamespace(learned=False),))
+    table = SimpleNamespace(best=refined, fitted=diagnosed.best, subject=diagnosed.subject, among=1)
+    after = _with_table(diagnosed, table).diagnosis
+    assert (after.verdict.effects, after.verdict.ports) == (("asymmetry",), ("friction",))
+    assert after.best is refined
 
 
 def test_what_a_table_predicts_in_runs_without_repeats_is_unknown_and_no_noise():
