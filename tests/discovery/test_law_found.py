@@ -76,15 +76,13 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_law_may_stand_beside_an_effect_that_explains_a_part(tmp_path):
+def test_a_law_at_a_component_is_a_coefficient_that_varies_beside_another_effect(tmp_path):
+    """A flow in parallel to a wall that saturates: its conductance falls with its own flow."""
     law = Extra("wall", lambda values, *_: 1.5 * np.tanh(values["p"] / 8.0))
     answer, _ = diagnosed(dict.fromkeys(BLOCK.inputs, law), tmp_path, effect={"radiation": 1.2e-8}, repeats=3)
-    equation = answer["law_found"]
-    assert answer["verdict"]["kind"] == "partial"
-    assert equation["beside"] == ["radiation@casing"]
-    assert equation["modelica"] == "wall.law_size*tanh(p/wall.law_width)"
-    assert equation["parameters"]["wall.law_size"]["value"] == pytest.approx(1.5, rel=0.02)
-    assert equation["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
+    assert answer["verdict"]["effects"] == ["radiation@casing", "varies@wall.G(wall.a.Q)"]
+    assert answer["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
+    assert answer["gap"]["corrected"] < 0.25
 
 
 @pytest.mark.slow
