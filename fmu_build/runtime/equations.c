@@ -83,7 +83,7 @@ int right_hand_side(Instance *me, double t, const double *x, double *dx) {
     return CALL(derivatives);
 }
 
-/* f in me->f0, and the derivatives of [f; r] by [x; y] and t, the slopes of the inputs included. */
+/* f in me->f0, and the derivatives of [f; r] by [x; y] and t, the inputs held: see `with_slopes_of_inputs`. */
 int linearise(Instance *me, double t, const double *x) {
     input_at(me, t);
     if (solve_loop(me, t, x, me->ut)) return 1;
@@ -91,21 +91,7 @@ int linearise(Instance *me, double t, const double *x) {
     me->res[0] = me->f0;
     me->res[1] = me->jacobian;
     me->res[2] = me->by_time;
-    if (CALL(jacobian)) return 1;
-
-    double du[LENGTH(NU)];
-    int ramp = 0;
-    memcpy(du, me->s.step.du, sizeof du);
-    if (NDELAY > 0) delayed_at(me, t, me->ut, du);
-    for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
-    if (ramp) {
-        DIRECTION(s);
-        memcpy(s.u, du, BYTES(NU));
-        if (partials_along(me, t, x, me->ut, &s)) return 1;
-        for (int i = 0; i < NX; i++) me->by_time[i] += s.dx[i];
-        for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];
-    }
-    return 0;
+    return CALL(jacobian);
 }
 
 /* Where the algebraic loops are solved: the factors of dr/dy, and dr/dt. */

@@ -32,6 +32,22 @@ int partials_along(Instance *me, double t, const double *x, const double *u, Dir
     return CALL(loop_partials);
 }
 
+/* Adds what slopes of the inputs do to the derivatives by t, where `linearise` was called last. */
+int with_slopes_of_inputs(Instance *me, double t, const double *x) {
+    double du[LENGTH(NU)];
+    int ramp = 0;
+    memcpy(du, me->s.step.du, sizeof du);
+    if (NDELAY > 0) delayed_at(me, t, me->ut, du);
+    for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
+    if (!ramp) return 0;
+    DIRECTION(s);
+    memcpy(s.u, du, BYTES(NU));
+    if (partials_along(me, t, x, me->ut, &s)) return 1;
+    for (int i = 0; i < NX; i++) me->by_time[i] += s.dx[i];
+    for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];
+    return 0;
+}
+
 /* x'' where `linearise` was called last. */
 int second_derivatives(Instance *me, double t, const double *x, double *second) {
     const Pattern *j = &model.J;

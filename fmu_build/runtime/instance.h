@@ -161,6 +161,7 @@ int factorise_loop(Instance *me, double t, const double *x, const double *u);
 void solve_linear_loop(Instance *me, double *b);
 int right_hand_side(Instance *me, double t, const double *x, double *dx);
 int linearise(Instance *me, double t, const double *x);
+int with_slopes_of_inputs(Instance *me, double t, const double *x);
 int second_derivatives(Instance *me, double t, const double *x, double *second);
 void input_at(Instance *me, double t);
 void relations_within(Instance *me, double slack, double t, const double *x, const double *u, double *m);

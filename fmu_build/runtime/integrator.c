@@ -74,7 +74,7 @@ Status integrate_step(Instance *me, double target, int exact) {
         step->fresh = 0;
         return STATUS_OK;
     }
-    if (linearise(me, t, step->x0))
+    if (linearise(me, t, step->x0) || with_slopes_of_inputs(me, t, step->x0))
         return report(me, STATUS_ERROR, "t = %.9g: the model's equations cannot be evaluated or solved", t);
     for (int i = 0; i < NX; i++)
         if (!isfinite(me->f0[i]))
