@@ -83,9 +83,8 @@ class _Checker:
                     self._alike(dimension, self._unit(value), variable.at)
             yield from self._report()
         for equation in (*self._flat.equations, *self._flat.initial_equations):
-            for left, right in product(_apart(equation.left), _apart(equation.right)):
-                self._alike(self._unit(left), self._unit(right), equation.at)
-            self._unit(equation.right)
+            for left, right in product(*(list(self._apart(side)) for side in (equation.left, equation.right))):
+                self._alike(left, right, equation.at)
             yield from self._report()
         for node in self._flat.asserts:
             self._unit(node.condition)
@@ -137,6 +136,16 @@ class _Checker:
                 return self._call(node)
         return None
 
+    def _apart(self, side: Any) -> Iterator[Dimension | None]:
+        """Yield the units of a side of an equation: of an if-equation, of that side in each branch."""
+        if isinstance(side, If) and side.apart:
+            for condition, value in side.branches:
+                self._unit(condition)
+                yield from self._apart(value)
+            yield from self._apart(side.otherwise)
+        else:
+            yield self._unit(side)
+
     def _factor(self, node: Any) -> Dimension | None:
         """Return the unit of a factor, where whole literals make a pure number."""
         literals = _literals(node)
@@ -173,15 +182,6 @@ class _Checker:
         if name == "sqrt" and first is not None:
             return _power(first, Fraction(1, 2))
         return first if name in _SAME else None
-
-
-def _apart(side: Any) -> Iterator[Any]:
-    """Yield the sides of the separate equations in the branches of an if-equation."""
-    if isinstance(side, If) and side.apart:
-        for value in (*(branch for _, branch in side.branches), side.otherwise):
-            yield from _apart(value)
-    else:
-        yield side
 
 
 def _literal(node: Any) -> float | None:

@@ -70,6 +70,12 @@ def test_branches_of_if_equations_need_not_have_one_unit(tmp_path, branches):
     assert told == tuple(f"M.mo:16: the units differ: {a} and {b}" for a, b in IF_EQUATIONS[branches])
 
 
+@pytest.mark.parametrize("branches", ["q = s; else q = F;", "q = s; else F = q;"])
+def test_conditions_of_if_equations_are_checked(tmp_path, branches):
+    told = findings(tmp_path, f"if s > F then {branches} end if; m*der(v) = F;", "  Real q;\n")
+    assert told == ("M.mo:16: the units differ: m and N",)
+
+
 DISPLAYED = {
     'unit = "K", displayUnit = "degF"': "",
     'unit = "J", displayUnit = "kWh"': "",
