@@ -1,4 +1,4 @@
-/* Evaluations of the model that steps seldom or never need. */
+/* Evaluations of the model that take little of the time of steps. */
 #include <math.h>
 #include <string.h>
 
@@ -96,28 +96,20 @@ int relations_for_input(Instance *me, double *kept) {
     return 0;
 }
 
-int evaluate_derivatives(Instance *me) {
+/* Evaluates a function of the model at the present point, unless its values are there. */
+static int evaluate(Instance *me, int *have, double *values, ModelFunction function) {
     State *s = &me->s;
-    if (s->have_dx) return 0;
+    if (*have) return 0;
     double kept[LENGTH(NM)];
     int failed = relations_for_input(me, kept) || solve_loop(me, s->t, s->x, s->u);
     environment_at(me, &s->t, s->x, s->u);
-    me->res[0] = s->dx;
-    failed = failed || CALL(derivatives);
+    me->res[0] = values;
+    failed = failed || function(me->arg, me->res, me->iw, me->w, s->laws);
     memcpy(s->m, kept, sizeof kept);
-    s->have_dx = !failed;
+    *have = !failed;
     return failed;
 }
 
-int evaluate_variables(Instance *me) {
-    State *s = &me->s;
-    if (s->have_v) return 0;
-    double kept[LENGTH(NM)];
-    int failed = relations_for_input(me, kept) || solve_loop(me, s->t, s->x, s->u);
-    environment_at(me, &s->t, s->x, s->u);
-    me->res[0] = s->v;
-    failed = failed || CALL(variables);
-    memcpy(s->m, kept, sizeof kept);
-    s->have_v = !failed;
-    return failed;
-}
+int evaluate_derivatives(Instance *me) { return evaluate(me, &me->s.have_dx, me->s.dx, model_derivatives); }
+
+int evaluate_variables(Instance *me) { return evaluate(me, &me->s.have_v, me->s.v, model_variables); }

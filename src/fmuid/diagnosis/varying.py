@@ -320,7 +320,8 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
         courses.append(dict(zip(names, row, strict=True)) | driven)
         values = {**case.task.start_values, **subject.model.start_values(case, known)}
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
-    places = {n: k for n, k in places.items() if n not in _of_one_flow(places, responses)}
+    shared = _of_one_flow(places, responses)
+    places = {n: k for n, k in places.items() if n not in shared}
     return _Setup(flat, linear, {n: by_name[n] for n in places}, places, index, courses, responses, known)
 
 
