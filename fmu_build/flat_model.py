@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal as Choice
@@ -26,6 +27,7 @@ from fmu_build.syntax import (
     Reference,
     Statement,
     WhenStatement,
+    references,
 )
 
 Type = Choice["Real", "Integer", "Boolean", "String", "ExternalObject"]
@@ -285,6 +287,20 @@ class FlatModel:
         for v in self.variables.values():
             if v.binding is not None and v.variability == "continuous":
                 yield v.name, v.binding
+
+    @cached_property
+    def names(self) -> tuple[frozenset[str], ...]:
+        """Names in each equation."""
+        return tuple(frozenset(map(flat_name, references((e.left, e.right)))) for e in self.equations)
+
+    @cached_property
+    def computed(self) -> Mapping[str, frozenset[str]]:
+        """Names in the value of each parameter that has one, by parameter."""
+        return {
+            v.name: frozenset(map(flat_name, references(v.binding)))
+            for v in self.variables.values()
+            if v.variability == "parameter" and v.binding is not None
+        }
 
     # ---- changes
 

@@ -153,9 +153,11 @@ class Coefficient:
 
 def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
     """Return the real scalar parameters that act in equations and may be replaced by a variable there."""
-    sides = [(e.origin.component, (e.left, e.right)) for e in flat.equations]
-    sides += [(flat.variables[n].component, (variable(n), binding)) for n, binding in flat.bindings()]
-    inside = [(component, {flat_name(r) for r in references(parts)}) for component, parts in sides]
+    inside = [(e.origin.component, names) for e, names in zip(flat.equations, flat.names, strict=True)]
+    inside += [
+        (flat.variables[n].component, frozenset({n, *map(flat_name, references(binding))}))
+        for n, binding in flat.bindings()
+    ]
     coefficients = []
     for v in held_parameters(flat):
         if v.at == ADDED:  # of an effect
@@ -182,7 +184,7 @@ def equations_with(flat: FlatModel, parameter: str) -> dict[str, int]:
     names = {parameter, *followers(flat, parameter)}
     places: dict[str, list[int]] = {}
     for i, e in enumerate(flat.equations):
-        if e.origin.kind == "class" and names & {flat_name(r) for r in references((e.left, e.right))}:
+        if e.origin.kind == "class" and names & flat.names[i]:
             rates = [name for name in map(differentiated, walk((e.left, e.right))) if name is not None]
             sides = [flat_name(side) for side in (e.left, e.right) if isinstance(side, Reference)]
             for name in (*rates, *sides)[:1]:
@@ -202,12 +204,7 @@ def _is_continuous(flat: FlatModel, name: str) -> bool:
 
 def followers(flat: FlatModel, name: str) -> tuple[str, ...]:
     """Return the parameters whose values are computed from a parameter's, each after those that it needs."""
-    uses = {
-        v.name: {flat_name(r) for r in references(v.binding)}
-        for v in flat.variables.values()
-        if v.variability == "parameter" and v.binding is not None
-    }
-    reached, wider = {name}, {name}
+    uses, reached, wider = flat.computed, {name}, {name}
     while wider:
         wider = {n for n, used in uses.items() if used & reached} - reached
         reached |= wider

@@ -9,7 +9,7 @@ of built-in functions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 
@@ -286,16 +286,22 @@ class Connect(Node):
 # ---- functions on trees
 
 
+def _inner(node: Node) -> tuple[str, ...]:
+    """Return the names of all fields of a node but its place, which is the first one."""
+    names: tuple[str, ...] = node.__match_args__
+    return names[1:]
+
+
 def transform(tree: Any, change: Callable[[Any], Any]) -> Any:
     """Return the tree with `change` applied to each node from the leaves up."""
     if isinstance(tree, Node):
         new: dict[str, Any] = {}
-        for field in fields(tree):
-            value = getattr(tree, field.name)
-            if isinstance(value, Node | tuple) and field.name != "at":
+        for name in _inner(tree):
+            value = getattr(tree, name)
+            if isinstance(value, Node | tuple):
                 changed = transform(value, change)
                 if changed is not value:
-                    new[field.name] = changed
+                    new[name] = changed
         return change(replace(tree, **new) if new else tree)
     if isinstance(tree, tuple):
         items = [transform(item, change) if isinstance(item, Node | tuple) else item for item in tree]
@@ -312,7 +318,7 @@ def walk(tree: Any) -> Iterator[Node]:
         item = stack.pop()
         if isinstance(item, Node):
             yield item
-            stack.extend(getattr(item, field.name) for field in reversed(fields(item)) if field.name != "at")
+            stack.extend([getattr(item, name) for name in reversed(_inner(item))])
         elif isinstance(item, tuple):
             stack.extend(reversed(item))
 
