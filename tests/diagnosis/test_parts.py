@@ -265,6 +265,24 @@ def test_a_refit_gets_over_ripples_of_the_cost():
     assert ended.evaluations < 0.6 * fit.evaluations
 
 
+def test_a_refit_ends_where_what_it_gains_would_not_make_it_of_use():
+    time = np.linspace(0.0, 1.0, 200)
+    observed = one_run(time, np.exp(-time))
+
+    def predict(points, near=None):
+        return [(np.exp(-((p["k"] - 1.0) ** 2) - time)[None] + 0.01 * p["d"] ** 4,) for p in points]
+
+    unknowns = [Unknown("k", 1.0, 0.0, 9.0, 0.01), Unknown("d", 8.0, -9.0, 9.0, 0.01)]
+    fit = refit(predict, observed, unknowns, tolerance=1e-9)
+    assert fit.values["d"] == pytest.approx(0.0, abs=1.0)
+    again = refit(predict, observed, unknowns, tolerance=1e-9, most=100.0 * max(fit.cost, 1.0))
+    assert again.values == fit.values
+    # The cost falls by a constant share: from some iteration on, those to come cannot gain what is left.
+    ended = refit(predict, observed, unknowns, tolerance=1e-9, most=-1e6 * fit.cost - 1e6)
+    assert ended.evaluations < fit.evaluations
+    assert not ended.converged
+
+
 def test_a_refit_begins_whatever_its_rival_since_slopes_promise_too_little_where_they_bend():
     time = np.linspace(0.0, 1.0, 200)
     observed = one_run(time, time + 0.1 * np.sin(40.0 * time))

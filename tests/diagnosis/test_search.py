@@ -200,8 +200,16 @@ def test_no_third_effect_is_tried_if_another_search_follows_a_pair_that_leaves_m
     assert max(len(c.effects) for c in models) == len(best.effects) == most
 
 
-def test_an_effect_that_a_quick_search_gains_nothing_with_is_refitted_from_neutral_values_or_not_at_all(
-    monkeypatch,
+@pytest.mark.parametrize(
+    ("gains", "values"),
+    [
+        ({"law1": 0.5, "law2": 0.5, "law3": 0.7}, {"law1": 0.7, "law2": 0.7, "law3": 0.7}),
+        ({"law1": 0.5, "law2": 0.8}, {"law1": 0.7}),
+        ({}, {f"law{n}": 0.0 for n in range(1, 7)}),
+    ],
+)
+def test_effects_are_refitted_with_care_that_gain_half_as_much_as_the_best_or_from_neutral_values(
+    monkeypatch, gains, values
 ):
     laws = {f"law{n}": {n: 1.0} for n in range(1, 7)}
     subject = heard(laws, {1: 1.0, 2: 1.0})
@@ -210,8 +218,7 @@ def test_an_effect_that_a_quick_search_gains_nothing_with_is_refitted_from_neutr
     begun = {}
 
     def approached(subject, fit, score):
-        worse = score.effect not in ("law1", "law2")
-        return fit.cost * (1.1 if worse else 0.5), {**fit.values, score.effect: 0.7}
+        return fit.cost * gains.get(score.effect, 1.1), {**fit.values, score.effect: 0.7}
 
     def added(subject, fitted, score, starts, rival):
         begun[score.effect] = starts[0][score.effect]
@@ -219,8 +226,8 @@ def test_an_effect_that_a_quick_search_gains_nothing_with_is_refitted_from_neutr
 
     monkeypatch.setattr("fmuid.diagnosis.effect_search.approach_effect", approached)
     monkeypatch.setattr("fmuid.diagnosis.effect_search.add_effect", added)
-    _added(subject, nominal, scores, ["law2", "law6"])
-    assert begun == {"law1": 0.7, "law2": 0.7, "law3": 0.0, "law4": 0.0}
+    _added(subject, nominal, scores, ["law6"])
+    assert begun == values
 
 
 @pytest.mark.parametrize(
@@ -278,9 +285,10 @@ def test_nothing_is_proposed_that_would_not_settle_the_matter(told, monkeypatch)
 
 def test_only_what_fits_as_well_as_its_rival_is_refitted_without_each_run(monkeypatch):
     subject = heard({"law": {2: 1.0}}, {2: 1.0, 3: 0.5})
+    cost = fit_effects(subject, subject.effects, [{}]).fit.cost
     monkeypatch.setattr(candidates, "leaving_out", lambda *_, chords: chords)
-    chords = [fit_effects(subject, subject.effects, [{}], rival=rival) for rival in (np.inf, 0.0)]
-    assert chords == [CHORDS, 1]
+    chords = [fit_effects(subject, subject.effects, [{}], rival=rival) for rival in (np.inf, cost / 2, 0.0)]
+    assert chords == [CHORDS, 1, 0]
 
 
 def test_no_run_is_proposed_in_which_the_outputs_run_away():

@@ -194,6 +194,8 @@ def _ends(
 
 _SIZE = (0.03, 3.0)  # of a first guess, in trials: a response is linear only so far
 _CAREFUL = 4  # quick searches from which careful ones continue, and those that end as well as the best
+HOPELESS = 2.5  # times the cost of a rival: a gap over 1.5 times as large, which no open answer leaves
+_AS_MUCH = 0.5  # share of the best quick gain: one that gains less was never seen to overtake it with care
 _ESCAPES = 2  # from local minima of one refit
 _TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place
 
@@ -240,15 +242,19 @@ def fit_effects(
     tolerance: float = 1e-3,
     chords: int = CHORDS,
     rival: float = np.inf,
+    most: float = np.inf,
 ) -> Fitted | None:
     """Refit the nominal parameters together with those of `effects`; None if no start can be simulated.
 
-    If it fits worse than its `rival`, its predictions of left-out experiments are those of one step.
+    If it fits worse than its `rival`, its predictions of left-out experiments are those of one step. If its cost
+    is above `most`, or too far above that of its rival for an answer, they are linear, and the refit need not end.
     """
-    fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance, rival=rival)
+    most = min(most, HOPELESS * rival)
+    fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance, rival=rival, most=most)
     if fit is None:
         return None
-    return leaving_out(subject, effects, fit, chords=chords if fit.cost <= about(rival) else 1)
+    steps = chords if fit.cost <= about(rival) else 1
+    return leaving_out(subject, effects, fit, chords=steps if fit.cost <= most else 0)
 
 
 def leaving_out(subject: Subject, effects: Sequence[Effect], fit: Refit, *, chords: int = CHORDS) -> Fitted:
@@ -274,6 +280,7 @@ def refit_only(
     iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
     rival: float = np.inf,
+    most: float = np.inf,
 ) -> Refit | None:
     """Refit as `fit_effects` does, without predictions of left-out experiments."""
     unknowns = subject.nominal + tuple(u for e in effects for u in e.unknowns)
@@ -288,6 +295,7 @@ def refit_only(
             max_iterations=iterations,
             tolerance=tolerance,
             rival=rival,
+            most=most,
         )
     return None
 
@@ -378,10 +386,11 @@ def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
     return float(new @ residual / length) ** 2 if length > 1e-6 else 0.0
 
 
-def without(subject: Subject, fitted: Fitted, name: str) -> Fitted | None:
-    """Refit `fitted` without one of its effects."""
-    by_id = subject.by_id
-    return fit_effects(subject, [by_id[n] for n in fitted.effects if n != name], [fitted.fit.values])
+def without(subject: Subject, fitted: Fitted, name: str, *, compared: bool = False) -> Fitted | None:
+    """Refit `fitted` without one of its effects, to the end unless it is only `compared` with `fitted`."""
+    effects = [subject.by_id[n] for n in fitted.effects if n != name]
+    most = HOPELESS * fitted.fit.cost if compared else np.inf
+    return fit_effects(subject, effects, [fitted.fit.values], most=most)
 
 
 def add_effect(
@@ -422,10 +431,16 @@ def approach(
     return min(_ends(subject, unknowns, starts), key=lambda end: end[0], default=None)
 
 
-def promising(ends: Iterable[_End]) -> list[_End]:
-    """Return where the best quick searches ended, which start with their costs, the best one first."""
+def promising(ends: Iterable[_End], before: float = np.inf) -> list[_End]:
+    """Return where the best quick searches ended, which start with their costs, the best one first.
+
+    They began at the cost `before`. Where the best one gains more than searches leave open, those that gain far
+    less are left out.
+    """
     ordered = sorted(ends, key=lambda end: end[0])
-    return [end for k, end in enumerate(ordered) if k < _CAREFUL or end[0] <= about(ordered[0][0])]
+    least = ordered[0][0] if ordered else before
+    most = before - _AS_MUCH * (before - least) if about(least) < before else np.inf
+    return [e for k, e in enumerate(ordered) if e[0] <= about(least) or (k < _CAREFUL and e[0] <= most)]
 
 
 def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -95,7 +95,11 @@ def search(
         candidates += _moved(subject, best, candidates, scores)
         best = decide.best_of(candidates, subject.observed)
     signatures = _signatures(subject, nominal, candidates, scores)[0]
-    without_one = cache(partial(without, subject))
+
+    @cache
+    def without_one(fitted: Fitted, name: str) -> Fitted | None:  # to the end where others are tried instead
+        return without(subject, fitted, name, compared=len(fitted.effects) > decide.MOST_CALIBRATED)
+
     while present and len(best.effects) < _MOST and not exact_enough(subject, best):
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.effects))
         shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
@@ -108,7 +112,9 @@ def search(
         if better is None or not decide.worth_adding(best, better, _GAIN):
             break
         candidates += company
-        best = _exchanged(subject, better, candidates, scores, without_one)
+        best = better
+        if len(best.effects) <= decide.MOST_CALIBRATED:  # a set of three is provisional, whichever it is
+            best = _exchanged(subject, best, candidates, scores, without_one)
         if again and not holds(subject, nominal, best):
             break
     return candidates, _pruned(subject, best, candidates, without_one)
@@ -317,7 +323,7 @@ def _added(
         say(f"trying {score.effect}", 0.4 * k / len(scores))
         if (end := approach_effect(subject, fitted.fit, score)) is not None:
             approached.append((*end, score))
-    best = promising(approached)
+    best = promising(approached, fitted.fit.cost)
     gaining = [one for one in approached if one[2].effect in early and about(one[0]) < fitted.fit.cost]
     chosen = [*best, *(one for one in gaining if one not in best)]
     refits: list[tuple[Fitted, Score]] = []

@@ -45,6 +45,7 @@ _COARSE = 0.02  # share of the cost that an iteration of a quick search has to g
 _ACROSS = 50.0  # times the tolerance, of the cost beyond the noise: promises of a twentieth lead across ripples
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
 ITERATIONS = 25  # Jacobians of a search; nearly all end by their tolerance before
+_RECENT = 3  # iterations of a search whose largest gain those to come are taken to have
 _PATIENCE = 10  # consecutive trial points without improvement; each is four times as near
 
 Slopes = Literal["exact", "near", "wide"]
@@ -90,6 +91,7 @@ def refit(
     max_iterations: int = ITERATIONS,
     tolerance: float = 1e-3,
     rival: float = np.inf,
+    most: float = np.inf,
 ) -> Refit:
     """Minimise the whitened squared residual of the mean runs.
 
@@ -118,6 +120,9 @@ def refit(
         The search ends when an iteration lowers the cost by less than this share of it, or by less than 0.5.
     rival
         Cost of another model. A search that has ended goes on only if slopes promise to fit about as well as it.
+    most
+        Cost above which the result is of no use. A search ends if it would end above that although every iteration
+        to come gained as much as the best of the last three.
 
     Raises
     ------
@@ -132,7 +137,7 @@ def refit(
             failure = outcome
         else:
             campaign.known[x.tobytes()] = outcome
-            ends.append(_search(campaign, x, max_iterations, tolerance))
+            ends.append(_search(campaign, x, max_iterations, tolerance, most=most))
     if not ends:
         raise failure
     ends.sort(key=lambda end: end[0])
@@ -141,7 +146,7 @@ def refit(
     def promising(end: _End, slopes: Slopes = "near", across: float = 0.0) -> bool:
         fall = campaign.promised(end[1], slopes) if len(unknowns) else 0.0
         relevant = max(_ENOUGH, tolerance * end[0], tolerance * across * (end[0] - campaign.size))
-        return fall > relevant and end[0] - fall < min(least, about(rival))
+        return fall > relevant and end[0] - fall < min(least, about(rival), most)
 
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
         for end in campaign.apart([end for end in ends if end[0] <= about(least)]):
@@ -186,10 +191,17 @@ def about(cost: float) -> float:
 
 
 def _search(
-    campaign: _Campaign, start: FloatArray, max_iterations: int, tolerance: float, slopes: Slopes = "exact"
+    campaign: _Campaign,
+    start: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    slopes: Slopes = "exact",
+    *,
+    most: float = np.inf,
 ) -> _End:
     """Return where a search from `start` ends."""
     best, cost, iterations, vain = start, campaign.cost(start), 0, 0
+    costs: list[float] = []  # at the beginning of every iteration
 
     def residuals(x: FloatArray) -> FloatArray:
         nonlocal best, cost, vain
@@ -210,7 +222,10 @@ def _search(
 
     def jacobian(x: FloatArray) -> FloatArray:
         nonlocal iterations
-        if iterations == max_iterations:
+        costs.append(cost)
+        gains = -np.diff(costs[-_RECENT - 1 :])
+        hopeless = len(gains) == _RECENT and cost - (max_iterations - iterations) * gains.max() > most
+        if iterations == max_iterations or hopeless:
             raise _ExhaustedError
         iterations += 1
         x = campaign.clipped(x)
