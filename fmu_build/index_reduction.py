@@ -10,8 +10,9 @@ ties together remain states. The constraint is then an invariant of their motion
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
@@ -22,6 +23,7 @@ from fmu_build.equations import Equation
 from fmu_build.errors import counted
 from fmu_build.graph import SX, key
 from fmu_build.matching import augment
+from fmu_build.point import Point
 from fmu_build.scope import ModelScope
 
 _UNNAMED = (2, False, False)  # preference of a derivative without a name in the model
@@ -56,8 +58,9 @@ class Reduced:
 
 
 class _System:
-    def __init__(self, scope: ModelScope, aliases: Aliases) -> None:
+    def __init__(self, scope: ModelScope, aliases: Aliases, point: Point) -> None:
         self.scope = scope
+        self._point = point
         self.graph = scope.graph
         self.equations = list(aliases.equations)
         self.origin = list(range(len(self.equations)))  # equation -> its undifferentiated equation
@@ -120,27 +123,40 @@ class _System:
             equation, count = self.next[equation], count + 1
         return count
 
+    def numbers(self, expressions: list[SX]) -> np.ndarray[Any, Any]:
+        """Return values at a point near the start, at which the constraints hold if they matter."""
+        moves = any(k in self.place for e in expressions for k in self.graph.symbols(e))
+        return self._point.generic(expressions, self._consistent if moves else {})
 
-def reduce(scope: ModelScope, aliases: Aliases, point: Callable[[list[SX]], np.ndarray[Any, Any]]) -> Reduced:
+    @cached_property
+    def _consistent(self) -> dict[int, float]:
+        constraints = [self.equations[e].residual for e in set(self.origin) if e in self.next]
+        used = {k for r in constraints for k in self.graph.symbols(r)}
+        symbols = [s for chain in self.chains for s in chain if key(s) in used]
+        symbols.sort(key=self.preference, reverse=True)
+        return self._point.consistent(constraints, symbols)
+
+    def preference(self, symbol: SX) -> tuple[int, bool, bool]:
+        """Preference of a symbol as a state."""
+        declared = self.scope.declared(symbol)
+        return _UNNAMED if declared is None else preference(declared)
+
+
+def reduce(scope: ModelScope, aliases: Aliases, point: Point) -> Reduced:
     """Differentiate constraints until the system can be solved, and select states.
-
-    Parameters
-    ----------
-    point
-        Evaluates expressions at a generic point near the start values (for the rank of the constraints).
 
     Raises
     ------
     ModelicaError
         The model is structurally singular, or needs derivatives of inputs.
     """
-    system = _System(scope, aliases)
+    system = _System(scope, aliases, point)
     _check_structure(system)
     n = len(aliases.equations)
     equation_of: dict[int, int] = {}  # variable -> equation matched with its highest derivative
     for original in range(n):
         _match(system, original, equation_of)
-    states, held = _select(system, n, point)
+    states, held = _select(system, n)
     state_keys = {key(s.symbol) for s in states}
     unknowns = [s for chain in system.chains for s in chain if key(s) not in state_keys]
     equations = [e for i, e in enumerate(system.equations) if i not in held]
@@ -224,9 +240,7 @@ def _check_branches(system: _System, equations: list[Equation], unknowns: list[S
                 )
 
 
-def _select(
-    system: _System, n: int, point: Callable[[list[SX]], np.ndarray[Any, Any]]
-) -> tuple[list[State], set[int]]:
+def _select(system: _System, n: int) -> tuple[list[State], set[int]]:
     """Choose the states; also return the equations that become invariants."""
     chains = system.chains
     depth = [system.depth(e) for e in range(n)]
@@ -240,7 +254,7 @@ def _select(
         columns = [v for v in columns if len(chains[v]) > level and lowered[v] == level - 1]
         preferences = {v: _preference(system, names, v, level) for v in columns}
         columns.sort(key=lambda v: (preferences[v], -v))
-        choice = _independent(system, [leaves[e] for e in rows], columns, preferences, point)
+        choice = _independent(system, [leaves[e] for e in rows], columns, preferences)
         if choice is None:
             _singular(system, [leaves[e] for e in rows], [chains[v][0] for v in columns])
         invariant |= dict.fromkeys((rows[i] for i in choice.open), level)
@@ -290,8 +304,7 @@ def _preference(
 ) -> tuple[int, bool, bool]:
     """Preference as a state of the symbol that a dummy derivative at this level would replace."""
     symbol = system.chains[variable][len(system.chains[variable]) - 1 - level]
-    declared = system.scope.declared(symbol)
-    return names.get(key(symbol), _UNNAMED) if declared is None else preference(declared)
+    return names.get(key(symbol), system.preference(symbol))
 
 
 @dataclass(frozen=True)
@@ -310,7 +323,6 @@ def _independent(
     leaves: list[int],
     columns: list[int],
     preferences: Mapping[int, tuple[int, bool, bool]],
-    point: Callable[[list[SX]], np.ndarray[Any, Any]],
 ) -> _Choice | None:
     """Choose columns with full rank, in their order, that stay independent while the model moves.
 
@@ -322,7 +334,7 @@ def _independent(
         i: {v: g[key(system.chains[v][-1])] for v in columns if key(system.chains[v][-1]) in g}
         for i, g in enumerate(gradients)
     }
-    chosen = _ranked(entries, columns, point)
+    chosen = _ranked(system, entries, columns)
     if len(chosen) < len(leaves):
         return None
     fixed, rest = _eliminate(system, entries, chosen)
@@ -333,12 +345,12 @@ def _independent(
     return _Choice(fixed, sorted(rest))
 
 
-def _ranked(entries: Entries, columns: list[int], point: Callable[[list[SX]], np.ndarray[Any, Any]]) -> list[int]:
+def _ranked(system: _System, entries: Entries, columns: list[int]) -> list[int]:
     """First columns that increase the rank."""
     place = {v: j for j, v in enumerate(columns)}
     cells = [(i, place[v], entry) for i, row in entries.items() for v, entry in row.items()]
     matrix = np.zeros((len(entries), len(columns)))
-    for (i, j, _), value in zip(cells, point([e for _, _, e in cells]), strict=True):
+    for (i, j, _), value in zip(cells, system.numbers([e for _, _, e in cells]), strict=True):
         matrix[i, j] = value
     chosen: list[int] = []
     basis = np.zeros((len(entries), 0))

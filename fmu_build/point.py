@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -11,6 +11,7 @@ import numpy as np
 
 from fmu_build import algebra
 from fmu_build.graph import SX, key
+from fmu_build.near_start import consistent
 from fmu_build.scope import ModelScope
 
 _OFF = 1e-2  # relative distance of a generic point from the start values
@@ -45,9 +46,18 @@ class Point:
         """Return one expression's value."""
         return float(self.at_start([expression], {})[0])
 
-    def generic(self, expressions: list[SX]) -> np.ndarray[Any, Any]:
-        """Return values slightly off the start, where no coefficient vanishes by chance."""
-        return self._evaluate(expressions, {}, _OFF)
+    def generic(self, expressions: list[SX], known: Mapping[int, float] | None = None) -> np.ndarray[Any, Any]:
+        """Return values at known ones of symbols, the others slightly off the start: none vanishes by chance."""
+        return self._evaluate(expressions, known or {}, _OFF)
+
+    def consistent(self, residuals: Sequence[SX], unknowns: Sequence[SX]) -> dict[int, float]:
+        """Return values of unknowns slightly off the start at which equations hold; the best known ones first."""
+        guesses = {key(s): (s, self._value(s, _OFF * math.sin(1.0 + i))) for i, s in enumerate(unknowns)}
+        whole = ca.vertcat(*residuals)
+        others = [s for s in ca.symvar(whole) if key(s) not in guesses]
+        numbers = ca.vertcat(*(self._value(s, _OFF * math.sin(1.0 + i)) for i, s in enumerate(others)))
+        whole = ca.substitute(whole, ca.vertcat(*others), numbers)
+        return consistent(self._scope.graph, whole.elements(), guesses)
 
     def pieces(self, expressions: list[SX], switches: list[SX], values: Any) -> np.ndarray[Any, Any]:
         """Return values at the generic point for each row of values of some symbols, shape (rows, expressions)."""

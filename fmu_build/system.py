@@ -54,7 +54,7 @@ def solved(scope: ModelScope, equations: Equations) -> System:
     """
     aliases = eliminate(scope, equations.continuous)
     point = Point(scope)
-    reduced = reduce(scope, aliases, point.generic)
+    reduced = reduce(scope, aliases, point)
 
     def start(symbol: SX) -> SX | None:
         given = start_of(scope, aliases, symbol)

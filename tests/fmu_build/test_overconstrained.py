@@ -227,6 +227,9 @@ ENDS = {
     "Elementary.FreeBody": (10.0, {"body.body.frame_a.r_0[1]": 0.196094, "body.body.w_a[2]": 0.267863}),
     "Loops.Fourbar2": (5.0, {"j1.phi": 40.241258, "j1.w": 11.633989}),
     "Loops.Fourbar_analytic": (5.0, {"j1.phi": 40.241258, "j1.w": 11.633989}),
+    "Elementary.LineForceWithTwoMasses": (3.0, {"revolute1.phi": -0.920147, "revolute2.phi": -0.920147}),
+    "Loops.Fourbar1": (5.0, {"j1.phi": 40.328236, "j1.w": 11.739422}),
+    "Loops.PlanarLoops_analytic": (5.0, {"rev.phi": -0.019059, "rev.w": 4.396055}),
     "Loops.Engine1b_analytic": (0.5, {"inertia.phi": 41.030155, "inertia.w": 137.0892}),
     "Systems.RobotR3.OneAxis": (0.7504, {"axis.initializeFlange.phi_flange": 1.788888}),
 }
