@@ -32,11 +32,15 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Literal(Node):
-    """A number, a truth value or a string; an enumeration's literal is its ordinal, with all literals' names."""
+    """A number, a truth value or a string; an enumeration's literal is its ordinal, with all literals' names.
+
+    The value of a declared constant has the unit of its declaration, which is empty where that has none.
+    """
 
     value: bool | int | float | str
     name: str = ""
     literals: tuple[str, ...] = ()
+    unit: str | None = None
 
 
 class Part(NamedTuple):

@@ -108,6 +108,8 @@ class _Checker:
 
     def _unit(self, node: Any) -> Dimension | None:
         """Return the unit of an expression tree, None if unknown; records inconsistencies inside it."""
+        if isinstance(node, Literal):
+            return dimension_of_unit(node.unit)
         return None if _literals(node) else self._unit_of_names(node)
 
     def _unit_of_names(self, node: Any) -> Dimension | None:
@@ -195,11 +197,11 @@ def _literal(node: Any) -> float | None:
 
 def _literals(node: Any) -> list[float]:
     """Return the numbers of an expression that is made of them alone; of any other, none."""
-    value = _literal(node)
-    if value is not None:
-        return [value]
     parts: tuple[Any, ...]
     match node:
+        case Literal(unit=None):
+            value = _literal(node)
+            return [] if value is None else [value]
         case Unary():
             parts = (node.operand,)
         case Binary():

@@ -273,12 +273,7 @@ class _Flattener:
             raise ModelicaError(what, where=var.at, fix="assign it in a when-equation, or leave out discrete")
         attributes["start_level"] = _level(var.attributes.subs.get("start"))
         for name, key in (("unit", "unit"), ("displayUnit", "display_unit"), ("quantity", "quantity")):
-            stated = resolver.attribute(var, name)
-            if stated is not None:
-                text = resolver.known(stated, stated.at)
-                if isinstance(text, Array):
-                    text = str(text.items[0]) if text.items else ""
-                attributes[key] = str(text) or None
+            attributes[key] = resolver.text(var, name)
         fixed = resolver.attribute(var, "fixed")
         if fixed is not None:
             value = resolver.known(fixed, fixed.at)

@@ -853,23 +853,34 @@ class Resolver:
         """Value of a constant of a package, as literals."""
         if var.name not in self._constants:
             value = self.value(var)
-            self._constants[var.name] = self.literal(value, var.at, var.literals)
+            unit = self.text(var, "unit") or ""
+            self._constants[var.name] = self.literal(value, var.at, var.literals, unit)
         return self._constants[var.name]
 
-    def literal(self, value: Value, at: Place, literals: tuple[str, ...] = ()) -> Expression:
+    def text(self, var: Var, attribute: str) -> str | None:
+        """Value of an attribute that is a String; None if it is empty or not stated."""
+        stated = self.attribute(var, attribute)
+        value = "" if stated is None else self.known(stated, stated.at)
+        if isinstance(value, Array):
+            value = value.items[0] if value.items else ""
+        return str(value) or None
+
+    def literal(
+        self, value: Value, at: Place, literals: tuple[str, ...] = (), unit: str | None = None
+    ) -> Expression:
         """Make literals of a value, which are of an enumeration if there are names of `literals`."""
         if isinstance(value, Array):
             if not value.shape:
-                return self.literal(value.items[0], at, literals)
+                return self.literal(value.items[0], at, literals, unit)
             inner = value.shape[1:]
             n = math.prod(inner)
             rows = [value.items[i * n : (i + 1) * n] for i in range(value.shape[0])]
             items = (Array(inner, row) if inner else row[0] for row in rows)
-            return ArrayOf(at, tuple(self.literal(item, at, literals) for item in items))
+            return ArrayOf(at, tuple(self.literal(item, at, literals, unit) for item in items))
         if literals and isinstance(value, int) and 1 <= value <= len(literals):
             return Literal(at, value, literals[value - 1], literals)
         if isinstance(value, bool | int | float | str):
-            return Literal(at, value)
+            return Literal(at, value, unit=unit)
         raise ModelicaError("the value of this constant is not known", where=at)
 
     def _record_value(self, item: Instance, at: Place) -> Expression:

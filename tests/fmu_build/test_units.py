@@ -55,6 +55,14 @@ def test_units_of_another_scale_are_told_with_it(tmp_path):
     assert findings(tmp_path, GOOD[0], more) == ("M.mo:12: the units differ: 1/s and 0.0166667 1/s",)
 
 
+def test_constants_of_packages_keep_their_units(tmp_path):
+    more = '  package P constant Real k(unit = "N/m") = 3; constant Real plain = 3; end P; Real f(unit = "N");\n'
+    assert findings(tmp_path, GOOD[0], more + 'Real g(unit = "N") = P.plain*v; equation f = P.k*s;') == ()
+    assert findings(tmp_path, GOOD[0], more + "equation f = P.k*v;") == (
+        "M.mo:13: the units differ: N and kg.m/s3",
+    )
+
+
 IF_EQUATIONS = {
     "q = s; der(v) = F/m; else q = F; der(v) = 2*F/m;": (),
     "q = s; m*der(v) = F; else m*der(v) = F; q = s;": (),
