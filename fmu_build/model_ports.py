@@ -343,7 +343,7 @@ class _Finder:
         return declared.unit if declared is not None else None
 
     def ports(self) -> tuple[Port, ...]:
-        branches = list(self._branches())
+        branches = [b for b in self._branches() if not self._is_a_node(b)]
         branches = [
             replace(b, quantities={**b.quantities, **load}, loops=loops) if b.slides else b
             for b in branches
@@ -502,6 +502,11 @@ class _Finder:
                 coil=domain == "electrical" and self.classes.find(flow) in self.derived,
                 preferred=self._preferred(component) if compliant else (),
             )  # fmt: skip
+
+    def _is_a_node(self, branch: Port) -> bool:
+        """Whether a branch and one of its ends are one place, as in a joint that stands on the ground."""
+        held = self.fixed & {self._potential(path) for path in branch.connectors}
+        return branch.domain in MECHANICAL and bool(held) and not (branch.compliant or branch.rigid)
 
     def _preferred(self, component: str) -> tuple[str, ...]:
         variables = (v for v in self.flat.variables.values() if v.component == component and v.type == "Real")
