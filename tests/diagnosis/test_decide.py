@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fmuid.diagnosis import decide, diagnose
-from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.candidates import Fitted, _log_prior
 from fmuid.diagnosis.cross_validation import HeldOut
 from fmuid.diagnosis.decide import (
     closed_by,
@@ -133,6 +133,18 @@ def test_prior_odds_decide_between_models_that_fit_alike():
     )
     assert decide.log_odds(usual, varying, RECORDED) == pytest.approx(3.0)
     assert decide.best_of([varying, usual], RECORDED) is usual
+
+
+def test_every_law_and_every_place_of_a_law_is_equally_probable():
+    """Two laws at four places, and eight laws by which 25 coefficients may vary."""
+    of_catalogue = [SimpleNamespace(id=f"{k}", law=law, among=1) for k, law in enumerate(("loss", "gain") * 2)]
+    varies = SimpleNamespace(id="varies", law="varies", among=200)
+    subject = SimpleNamespace(by_id={e.id: e for e in (*of_catalogue, varies)})
+    loss, gain = (_log_prior(subject, [e]) for e in of_catalogue[:2])
+    assert loss == gain == pytest.approx(-np.log(10.0 * 2.0))
+    assert _log_prior(subject, [varies]) == pytest.approx(-np.log(10.0 * 25.0))
+    assert _log_prior(subject, [of_catalogue[0], varies]) == pytest.approx(loss - np.log(10.0 * 25.0))
+    assert _log_prior(subject, []) == 0.0
 
 
 def test_what_left_out_experiments_contradict_is_not_named_within_errors():
@@ -298,6 +310,14 @@ def test_a_gap_is_present_if_it_matters_and_noise_hardly_ever_leaves_as_much(
 )
 def test_a_further_effect_closes_a_quarter_of_what_is_left(before, after, worth):
     assert decide.worth_adding(fitted(("a",), before), fitted(("a", "b"), after)) is worth
+
+
+@pytest.mark.parametrize(("log_prior", "needed"), [(0.0, True), (-4.0, True), (-40.0, False)])
+def test_a_further_effect_has_to_be_probable_although_there_are_many(log_prior, needed):
+    before = fitted(("a",), 1.0, residuals=[[6.0], [1.0]], parameters=1)
+    after = replace(fitted(("a", "b"), 0.1, residuals=[[0.0], [1.0]], parameters=2), log_prior=log_prior)
+    assert decide.worth_adding(before, after)
+    assert decide.needed(before, after, RECORDED) is needed
 
 
 def test_where_nothing_was_left_no_further_effect_is_added():

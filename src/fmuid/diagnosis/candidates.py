@@ -33,6 +33,7 @@ from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, w
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.verdict import Estimate
 from fmuid.effects.effect import Effect, Unknown
+from fmuid.effects.laws import laws
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.uncertainty.coloured_residuals import Record, coloured_covariance
 
@@ -268,8 +269,24 @@ def leaving_out(subject: Subject, effects: Sequence[Effect], fit: Refit, *, chor
         leave_each_out(fit, observed, within_errors=True, predictions=left_out.residuals),
         gap(fit.residuals, observed),
         left_out.values,
-        -sum(float(np.log(e.among)) for e in effects),
+        _log_prior(subject, effects),
     )
+
+
+def _log_prior(subject: Subject, effects: Sequence[Effect]) -> float:
+    """Return the logarithm of the prior probability of effects.
+
+    Every law is equally probable, whether it is one of the catalogue or one by which coefficients vary, and so is
+    every place where it may act. Laws of both kinds have as many places as their average.
+    """
+    catalogue = [e.law for e in subject.by_id.values() if e.among == 1]
+    of_coefficients = sum("parameter" in law.domains for law in laws().values())
+    others = max(1, len({*catalogue}))
+
+    def places(effect: Effect) -> float:
+        return len(catalogue) / others if effect.among == 1 else effect.among / of_coefficients
+
+    return -sum(float(np.log((others + of_coefficients) * places(e))) for e in effects)
 
 
 def refit_only(

@@ -257,6 +257,11 @@ def worth_adding(before: Fitted, after: Fitted, least: float = GAIN_OF_A_SECOND)
     return False
 
 
+def needed(before: Fitted, after: Fitted, observed: Observed) -> bool:
+    """Return whether another effect is worth adding and probable, however many there are to choose from."""
+    return worth_adding(before, after) and log_odds(after, before, observed) > 0.0
+
+
 def _losses(before: Fitted, after: Fitted) -> list[tuple[HeldOut, HeldOut]]:
     """Return the losses of two models on held-out experiments, also beyond the errors of their parameters.
 

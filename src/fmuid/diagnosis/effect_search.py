@@ -430,7 +430,9 @@ def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted], without_on
     while len(best.effects) > 1:
         simpler = [without_one(best, name) for name in best.effects]
         enough = [
-            s for s in simpler if s is not None and (exact_enough(subject, s) or not decide.worth_adding(s, best))
+            s
+            for s in simpler
+            if s is not None and (exact_enough(subject, s) or not decide.needed(s, best, subject.observed))
         ]
         if not enough:
             break
