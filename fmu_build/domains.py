@@ -6,7 +6,7 @@ from typing import Literal as Choice
 
 from fmu_build.unit_strings import parse_unit
 
-Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid", "signal"]
+Domain = Choice["rotational", "translational", "electrical", "thermal", "fluid", "signal", "parameter"]
 
 DOMAINS: tuple[tuple[Domain, str, tuple[str, ...]], ...] = (
     ("rotational", "rad", ("N.m",)),

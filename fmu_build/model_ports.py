@@ -32,7 +32,7 @@ from fmu_build.flat_model import (
 from fmu_build.syntax import Binary, Call, Expression, Reference, Unary, references, walk
 from fmu_build.written_balances import Balance, Coupling, Difference, Share, WrittenBalances
 
-Kind = Choice["node", "branch", "joint", "signal", "loop"]
+Kind = Choice["node", "branch", "joint", "signal", "loop", "parameter"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,8 @@ class Port:
         Kind of the port, and its domain of physics.
     connectors
         For a node: the connector whose flow balance is extended. For a branch: its two connectors. For a joint:
-        the connector that is separated from its node. For a signal: the connector that receives it.
+        the connector that is separated from its node. For a signal: the connector that receives it. For a
+        parameter: none.
     units
         Units of the potential (or signal) and of the flow.
     quantities
@@ -149,6 +150,11 @@ class Coefficient:
     def parameter(self) -> str:
         """The parameter."""
         return self.name.partition(":")[0]
+
+
+def parameter_port(name: str, over: str, unit: str) -> Port:
+    """Return a parameter as the place of a law over something, with the units of that and of what it adds."""
+    return Port(name, "parameter", "parameter", (), (over, unit), {})
 
 
 def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:

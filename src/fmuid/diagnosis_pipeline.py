@@ -27,7 +27,7 @@ from fmuid.diagnosis.candidates import Fitted, estimates, refit_only
 from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_corrected
 from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import GAIN_OF_A_SECOND, odds_of_starts, tolerances
-from fmuid.diagnosis.diagnose import Found, diagnose_subject
+from fmuid.diagnosis.diagnose import Found, diagnose_subject, where_left
 from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
@@ -35,8 +35,17 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
 from fmuid.diagnosis.scores import SEEN
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences
-from fmuid.diagnosis.varying import course_of
-from fmuid.diagnosis.verdict import Best, BetweenMachines, Diagnosis, Estimate, LawFound, Rest, Verdict
+from fmuid.diagnosis.verdict import (
+    Answer,
+    Best,
+    BetweenMachines,
+    Diagnosis,
+    Estimate,
+    Kind,
+    LawFound,
+    Rest,
+    Verdict,
+)
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.discovery.learned_table import Tabulated, tabulate
@@ -417,7 +426,7 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     """Return the JSON object of a campaign's diagnosis, with the catalogue's words and the nominal refit."""
     catalogue = outcome.subject.catalogue
     described = {e.id: e.description for e in outcome.subject.effects}
-    described |= _courses(outcome)
+    described |= {id: str(course) for id, course in outcome.courses.items()}
     units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
     answer = outcome.diagnosis.to_dict()
     for effect in answer["effects"]:
@@ -456,13 +465,6 @@ def _errors(outcome: Found) -> dict[str, float | None]:
         return {}
     known = estimates(outcome.corrected, outcome.subject, outcome.nominal, outcome.scores)
     return {name: e.standard_error for name, e in known.items()}
-
-
-def _courses(outcome: Found) -> dict[str, str]:
-    """Return the coefficients that vary in the answers, in words and numbers, by effect."""
-    every = [(e, f) for f in outcome.surviving for e in outcome.subject.effects if e.id in f.effects]
-    courses = {e.id: course_of(outcome.subject, e, f.fit.values) for e, f in reversed(every)}
-    return {id: str(course) for id, course in courses.items() if course is not None}
 
 
 def _at_bounds(outcome: Found) -> list[str]:
@@ -509,23 +511,32 @@ def _with_table(outcome: Found, table: Tabulated) -> Found:
     """
     best, diagnosis = table.best, outcome.diagnosis
     verdict, refines = diagnosis.verdict, not any(r.learned for r in best.refinements)
-    rest = verdict.rest
-    if refines and not verdict.one_of and set(best.effects) < set(verdict.effects):
-        at = {id: outcome.subject.by_id[id].port for id in verdict.effects}
-        left = {at[id] for id in best.effects}
-        ports = tuple(p for p in verdict.ports if p in left or p not in at.values())
-        verdict = replace(verdict, effects=best.effects, ports=ports)
-    if rest is not None and refines:
-        rest = Rest(best.gap, rest.where) if best.gap > GAP_THAT_MATTERS else None
+    rest, answers = verdict.rest, diagnosis.answers
+    needless = [a for a in answers if set(best.effects) < set(a.effects)]
+    if refines and needless and set(best.effects) <= set(verdict.effects):
+        kind: Kind = "effect" if verdict.kind == "ambiguous" else verdict.kind
+        ports = tuple(dict.fromkeys(outcome.subject.by_id[id].port for id in best.effects))
+        verdict = replace(verdict, kind=kind, effects=best.effects, one_of=(), ports=ports)
+        together = Answer(best.effects, sum(a.probability for a in needless), best.closure)
+        others = (a for a in answers if a not in needless and a.effects != best.effects)
+        diagnosis = replace(diagnosis, next_experiment=None, added_sensor=None)
+        answers = tuple(sorted((together, *others), key=lambda a: -a.probability))
+    if refines:
+        left = best.gap > GAP_THAT_MATTERS
+        rest = Rest(best.gap, where_left(table.subject, table.fitted, outcome.paths)) if left else None
+    known = best.parameters if refines else {}
     effects = tuple(
-        replace(e, parameters=dict(e.parameters) | {n: p for n, p in best.parameters.items() if n in e.parameters})
-        if refines and e.id in best.effects
-        else e
+        replace(
+            e,
+            probability=sum(a.probability for a in answers if e.id in a.effects),
+            parameters={n: known.get(n, p) for n, p in e.parameters.items()},
+        )
         for e in diagnosis.effects
     )
     diagnosis = replace(
         diagnosis,
         verdict=replace(verdict, rest=rest),
+        answers=answers,
         best=best,
         gap=replace(diagnosis.gap, corrected=best.gap),
         model={**table.subject.model.expanded(table.fitted.fit.values)},

@@ -14,6 +14,7 @@ from fmuid.core.errors import SimulationError
 from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.subject import without_spikes
+from fmuid.diagnosis.verdict import Answer, Verdict
 from fmuid.diagnosis_pipeline import _beyond_noise, _with_table
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
@@ -211,15 +212,27 @@ def test_a_complete_model_says_what_would_have_been_seen():
         assert answer.verdict.kind == kind
 
 
-def test_the_verdict_lacks_effects_that_the_right_shape_of_another_makes_unnecessary():
+@pytest.mark.parametrize("open_", [False, True])
+def test_the_verdict_lacks_effects_that_the_right_shape_of_another_makes_unnecessary(open_):
     diagnosed = diagnose_subject(plant({"a": 0.3}, delay=0.03))
     verdict, best = diagnosed.diagnosis.verdict, diagnosed.diagnosis.best
-    assert set(verdict.effects) == {"asymmetry", "dead_time"}
+    pair = next(a for a in diagnosed.diagnosis.answers if set(a.effects) == {"asymmetry", "dead_time"})
+    assert set(verdict.effects) == {*pair.effects}
+    if open_:  # which of two others is missing, too
+        verdict = Verdict("ambiguous", ("asymmetry",), (("dead_time",), ("gain",)), ("friction", "torque"))
+        answers = (replace(pair, probability=0.5), Answer(("asymmetry", "gain"), 0.4), Answer(("gain",), 0.1))
+        diagnosed = replace(diagnosed, diagnosis=replace(diagnosed.diagnosis, verdict=verdict, answers=answers))
     refined = replace(best, effects=("asymmetry",), refinements=(SimpleNamespace(learned=False),))
     table = SimpleNamespace(best=refined, fitted=diagnosed.best, subject=diagnosed.subject, among=1)
     after = _with_table(diagnosed, table).diagnosis
+    assert (after.verdict.kind, after.verdict.one_of) == ("effect", ())
     assert (after.verdict.effects, after.verdict.ports) == (("asymmetry",), ("friction",))
     assert after.best is refined
+    assert after.answers[0].effects == ("asymmetry",)
+    assert after.answers[0].probability == pytest.approx(0.9 if open_ else pair.probability)
+    assert all("dead_time" not in a.effects for a in after.answers)
+    named = {e.id: e.probability for e in after.effects}
+    assert (named["dead_time"], named["asymmetry"]) == (0.0, after.answers[0].probability)
 
 
 def test_what_a_table_predicts_in_runs_without_repeats_is_unknown_and_no_noise():

@@ -38,8 +38,11 @@ def window(temperature):
     return 80.0 * np.exp(-(((temperature - 305.0) / 3.0) ** 2))
 
 
-def diagnosed(folder, loss, *, model=None, repeats=1, runs=4, late=0):
-    """Diagnose a room that loses more heat than its model, and is read so many samples late."""
+def diagnosed(folder, loss, *, model=None, repeats=1, runs=4, late=0, shape=lambda wind: 1.0):
+    """Diagnose a room that loses more heat than its model, and is read so many samples late.
+
+    Its coefficient of heat transfer has a `shape` over wind.
+    """
     rng = np.random.default_rng(1)
     time = STEP * np.arange(SAMPLES)
     paths = []
@@ -51,7 +54,7 @@ def diagnosed(folder, loss, *, model=None, repeats=1, runs=4, late=0):
         for k in range(SAMPLES):
             temperature[k] = value
             for _ in range(10):
-                heat = power[k] - 21.0 * (value - outdoors[k]) - loss(value, wind[k])
+                heat = power[k] - 21.0 * shape(wind[k]) * (value - outdoors[k]) - loss(value, wind[k])
                 value += STEP / 10 * heat / 2e4
         for repeat in range(repeats):
             read = temperature[np.maximum(np.arange(SAMPLES) - late, 0)]
@@ -181,6 +184,23 @@ def test_a_loss_that_no_law_describes_is_learned_as_a_table(tmp_path):
     corrected = (out / "corrected" / "RoomCorrected.mo").read_text()
     assert "Modelica.Blocks.Tables.CombiTable1Ds 'T.balance.learned_table'(table = [" in corrected
     assert "max(0, min(" not in corrected
+
+
+@pytest.mark.slow
+def test_a_coefficient_of_another_shape_is_refined_over_what_it_depends_on(tmp_path):
+    """It rises at two speeds of the wind."""
+
+    def shape(wind):
+        return 1.0 + 0.15 * (np.tanh((wind - 2.0) / 0.4) + np.tanh((wind - 6.0) / 0.4))
+
+    answer, out = diagnosed(tmp_path, lambda value, wind: 0.0, repeats=2, shape=shape)
+    (refinement,) = answer["refinements"]
+    assert answer["verdict"]["effects"] == ["varies@G(wind)"] == answer["best"]["effects"]
+    assert (refinement["law"], refinement["variable"]) == ("varies@G(wind)", "wind")
+    assert answer["corrected"] == ["varies@G(wind)", refinement["id"]]
+    assert answer["corrected_differs"] < 0.05
+    corrected = (out / "corrected" / "RoomCorrected.mo").read_text()
+    assert "CombiTable1Ds 'G.refinement'(table = [" in corrected
 
 
 SHAFT = """

@@ -328,7 +328,7 @@ def with_table(**changes):
         "port": "body",
         "variable": "temperature",
         "table": {"axes": [axis], "values": [0.0, 2.0, -3.0], "unit": "W"},
-        "effect": {},
+        "effect": {"acts": "flow"},
     } | changes
     best = {
         "effects": [table["law"]],
@@ -368,6 +368,24 @@ def test_a_refinement_is_said_under_the_name_of_its_law():
     assert sentences(diagnosis)[-1].startswith(
         "The plant's law has another shape than loss at body: with a table over temperature that refines it, 0.80"
     )
+
+
+def test_a_refined_coefficient_that_is_all_that_is_missing_is_told_once():
+    id, law = "refinement@UA(wind)", "varies@UA(wind)"
+    axis = {"variable": "wind", "unit": "m/s", "knots": [0.0, 4.0, 8.0]}
+    values = {"axes": [axis], "values": [-0.1, 0.0, 0.25], "unit": "1", "monotone": "rising"}
+    refined = with_table(id=id, law=law, learned=False, port="UA", variable="wind", table=values)
+    refined["refinements"][0]["effect"] = {"acts": "parameter"}
+    answer = {"effects": [law], "probability": 0.95, "closure": refined["best"]["closure"]}
+    verdict = refined["verdict"] | {"kind": "effect", "effects": [law]}
+    told = refined | {"answers": [answer], "verdict": verdict}
+    text = " ".join(sentences(told))
+    assert text.count("of the gap is closed") == 1
+    assert "has another shape than varies at UA(wind), so a rising table over wind refines it." in text
+    assert any(f.value == "3 rising values up to 25 % of UA, for wind from 0 to 8 m/s" for f in facts(told))
+    figure = tables_figure(told)
+    assert figure is not None
+    assert figure.panels[0].y.name == "relative change of UA, only rising"
 
 
 def test_a_table_over_two_variables_has_a_line_for_each_value_of_the_second(tmp_path):

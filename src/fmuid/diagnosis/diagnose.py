@@ -45,6 +45,7 @@ from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
 from fmuid.diagnosis.scores import Score, hidden, largest_drop, nominal_basis, smallest_seen
 from fmuid.diagnosis.subject import Subject, tightened, with_states, without_spikes
 from fmuid.diagnosis.summary import likeliest, regime_text, summary
+from fmuid.diagnosis.varying import Course, course_of
 from fmuid.diagnosis.verdict import (
     NONE,
     UNKNOWN,
@@ -112,6 +113,20 @@ class Found(Plottable):
     def corrected(self) -> Fitted:
         """The best explanation of the gap; the nominal model if there is none."""
         return self.nominal if self.best is None else self.best
+
+    @property
+    def courses(self) -> dict[str, Course]:
+        """Coefficients that vary in the named answers over what they depend on, by effect."""
+        best, known = self.diagnosis.best, self.diagnosis.model
+        tables = () if best is None else best.refinements
+        refined = {table.effect for table in tables}
+        courses: dict[str, Course] = {}
+        for effect, fitted in ((e, f) for f in self.surviving for e in self.subject.effects if e.id in f.effects):
+            values = fitted.fit.values
+            values = {n: known.get(n, v) for n, v in values.items()} if effect.id in refined else values
+            course = None if effect.id in courses else course_of(self.subject, effect, values, tables)
+            courses |= {} if course is None else {effect.id: course}
+        return courses
 
     def __str__(self) -> str:
         """Return verdict, place and size of the gap, and the likeliest effects."""
@@ -578,10 +593,10 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
     provisional = provisional or alone or len(best.effects) > decide.MOST_CALIBRATED
     if part is not None:
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
-        beside = Rest(best.gap, _where_left(subject, best, paths, part.entered))
+        beside = Rest(best.gap, where_left(subject, best, paths, part.entered))
         verdict = Verdict("partial", best.effects, (), named, stable, beside, provisional)
         return Judgement(verdict, (best,), entered)
-    rest = None if done else Rest(best.gap, _where_left(subject, best, paths))
+    rest = None if done else Rest(best.gap, where_left(subject, best, paths))
     if len(surviving) == 1:
         kind = "partial" if provisional and rest is not None and not named_at_all else "effect"
         verdict = Verdict(kind, best.effects, (), named, stable, rest, provisional)
@@ -667,7 +682,7 @@ def _sure_part(subject: Subject, nominal: Fitted, best: Fitted, *, alike: bool) 
     return _Part(part, places(where_it_enters(subject, part)) if doubtful else entered)
 
 
-def _where_left(
+def where_left(
     subject: Subject, best: Fitted, paths: Mapping[str, tuple[FloatArray, ...]], entered: Sequence[str] = ()
 ) -> str:
     """Return in words where most of the rest after `best` lies, and where it has `entered`."""

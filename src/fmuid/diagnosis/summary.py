@@ -137,7 +137,7 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
             with_what = f"With {_listed(best['effects'], 'and')}"
         lines.append(f"{with_what}, {_reduction(best['closure'])}.")
     tables = diagnosis.get("refinements") or ()
-    lines += [_of_table(table, diagnosis["best"]) for table in tables]
+    lines += [_of_table(table, diagnosis["best"], best) for table in tables]
     if not (named(verdict) and best is not None) and diagnosis.get("best") and not tables:
         explained = diagnosis["best"]
         lines.append(
@@ -163,15 +163,15 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _of_table(table: Mapping[str, Any], best: Mapping[str, Any]) -> str:
-    """Return a sentence on a table and what the model with it predicts."""
+def _of_table(table: Mapping[str, Any], best: Mapping[str, Any], told: Mapping[str, Any] | None) -> str:
+    """Return a sentence on a table and on what it closes, unless the sentence on the answer has that."""
     over, reduction = table["variable"], _reduction(best["closure"])
     monotone = f"{way} " if (way := table["table"].get("monotone")) else ""
     if not table["learned"]:
-        return (
-            f"The plant's law has another shape than {in_words(table['law'])}: with a {monotone}table over {over}"
-            f" that refines it, {reduction}."
-        )
+        other = f"The plant's law has another shape than {in_words(table['law'])}"
+        if told is not None and told["closure"] == best["closure"]:
+            return f"{other}, so a {monotone}table over {over} refines it."
+        return f"{other}: with a {monotone}table over {over} that refines it, {reduction}."
     others = [name for name in best["effects"] if name != table["id"]]
     beside = f" beside {_listed(others, 'and')}" if others else ""
     where = f"{table['port']} over {over}{beside}"
@@ -294,9 +294,11 @@ def _tables(diagnosis: Mapping[str, Any]) -> list[Fact]:
             for a in table["table"]["axes"]
         )
         label = "Learned table" if table["learned"] else f"Table that refines {in_words(table['law'])}"
-        most = f"{sizes.max():.3g} {table['table']['unit']}"
+        relative = table["effect"]["acts"] == "parameter"
+        unit = f"% of {table['port']}" if relative else f"{table['table']['unit']} at {table['port']}"
+        most = f"{(100.0 if relative else 1.0) * sizes.max():.3g} {unit}"
         monotone = f" {way}" if (way := table["table"].get("monotone")) else ""
-        lines.append(Fact(label, f"{sizes.size}{monotone} values up to {most} at {table['port']}, for {reached}"))
+        lines.append(Fact(label, f"{sizes.size}{monotone} values up to {most}, for {reached}"))
     if tables:
         lines.append(Fact("Closed on held-out data with the table", closure_text(diagnosis["best"]["closure"])))
     return lines

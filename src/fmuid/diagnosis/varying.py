@@ -18,7 +18,7 @@ import numpy as np
 from fmu_build import compile_flat
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import Coefficient, Port, coefficients
+from fmu_build.model_ports import Coefficient, coefficients, parameter_port
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import parse, parse_modelica
@@ -31,6 +31,7 @@ from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import SEEN, nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
+from fmuid.diagnosis.verdict import Refinement
 from fmuid.effects.effect import Effect
 from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws, varying_id
 from fmuid.identification.problem.cases import LOGGED, RUN_TIME, logged
@@ -224,7 +225,7 @@ def _lines(
         lines += [f"unit = {toml_text(unit)}", ""]
     for one in chosen:
         source, law = one.source, _from(one)
-        port = Port(one.coefficient.name, "parameter", "parameter", (), (source.unit, one.coefficient.unit), {})  # type: ignore[arg-type]
+        port = parameter_port(one.coefficient.name, source.unit, one.coefficient.unit)
         usual = source.near or source.name in _measured(subject)
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
         inputs = {source.text: source.unit} if source.text.startswith(LOGGED) else {}
@@ -678,32 +679,45 @@ class Course:
         )
 
 
-def course_of(subject: Subject, effect: Effect, values: Mapping[str, float]) -> Course | None:
-    """Return a coefficient that varies at fitted values over what it depends on; None for other effects."""
+def source_of(
+    subject: Subject, effect: Effect, values: Mapping[str, float]
+) -> tuple[str, str, tuple[FloatArray, ...]]:
+    """Return the variable of a coefficient that varies, in Modelica, its unit and its (N,) values in every run."""
+    cases = subject.model.cases
+    (source,) = parse_modelica(effect.expression).names - {"p", *(u.name for u in effect.unknowns)}
+    if source == TIME:
+        return source, "s", tuple(case.time for case in cases)
+    if source.startswith(LOGGED):
+        logs = (np.asarray(case.task.inputs[source])[case.lead :] for case in cases)
+        return source, effect.inputs[source], tuple(logs)
+    units = (v.unit for case in cases if (v := case.simulator.variables.get(source)))
+    return source, next(units, None) or "1", tuple(row[0] for row in subject.model.trajectories(values, [source]))
+
+
+def course_of(
+    subject: Subject, effect: Effect, values: Mapping[str, float], tables: Sequence[Refinement] = ()
+) -> Course | None:
+    """Return a coefficient that varies at fitted values over what it depends on; None for other effects.
+
+    Those of the `tables` that refine its law change it further.
+    """
     if effect.acts != "parameter" or not effect.expression:
         return None
     formula = parse_modelica(effect.expression)
     sizes = {u.name: values.get(u.name, u.start) for u in effect.unknowns}
-    (source,) = formula.names - {"p", *sizes}
-    cases = subject.model.cases
     every = {**subject.model.fixed, **values}
+    source, unit, reached = source_of(subject, effect, every)
     parameter = effect.port.partition(":")[0]
-    case = next(c for c in cases if parameter in c.simulator.variables)
+    case = next(c for c in subject.model.cases if parameter in c.simulator.variables)
     p = subject.model.start_values(case, every).get(parameter, case.simulator.variables[parameter].start)
-    if source == TIME:
-        reached = [c.time for c in cases]
-    elif source.startswith(LOGGED):
-        reached = [np.asarray(c.task.inputs[source]) for c in cases]
-    else:
-        reached = [row[0] for row in subject.model.trajectories(every, [source])]
     x = np.linspace(min(float(r.min()) for r in reached), max(float(r.max()) for r in reached), 200)
     columns = {n: np.full(len(x), v) for n, v in {"p": p or 0.0, **sizes}.items()} | {source: x}
     y = formula.of_samples({n: columns[n] for n in formula.names})
+    for table in (t for t in tables if t.effect == effect.id):
+        y = y * (1.0 + np.interp(x, table.knots[0], table.values))
     chord = y[0] + (y[-1] - y[0]) * (x - x[0]) / (x[-1] - x[0])
     straight = float(np.abs(y - chord).max()) <= _STRAIGHT * abs(float(y[-1] - y[0]))
     over = effect.id.rpartition("(")[2].rstrip(")")
-    variable = case.simulator.variables.get(source)
-    unit = "s" if source == TIME else effect.inputs.get(source) or (variable.unit if variable else None) or "1"
     declared = case.simulator.variables[parameter].unit or "1"
     slope = float((y[-1] - y[0]) / (x[-1] - x[0]) / p) if straight and p else None
     return Course(effect.port, declared, over, unit, x, y, slope)

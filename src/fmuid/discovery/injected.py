@@ -66,11 +66,12 @@ class Law:
 
     @property
     def expression(self) -> str:
-        """The law in Modelica: a flow at its port."""
-        return " + ".join(
+        """The law in Modelica: a flow at its port, or a coefficient that changes relative to its value."""
+        flow = " + ".join(
             f"{size}*{_put_in(term.text, self._meant(k))}"
             for k, (size, term) in enumerate(zip(self.sizes, self.terms, strict=True))
         )
+        return f"p*(1 + ({flow}))" if self.spot.port.kind == "parameter" else flow
 
     @property
     def states(self) -> tuple[State, ...]:
@@ -141,6 +142,7 @@ class Law:
             units=units,
             shapes=frozenset(units) - frozenset(self.sizes),
             expression=self.expression,
+            acts="parameter" if self.spot.port.kind == "parameter" else "flow",
             states=self.states,
             variant=True,
             inputs=inputs,

@@ -18,18 +18,20 @@ from scipy.optimize import isotonic_regression
 
 from fmu_build.errors import UserError
 from fmu_build.flat_model import FlatModel
+from fmu_build.model_ports import parameter_port
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import ProblemError
 from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, leaving_out
+from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, leaving_out, without
 from fmuid.diagnosis.cross_validation import HeldOut, Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject, tightened
+from fmuid.diagnosis.varying import source_of
 from fmuid.diagnosis.verdict import Best, Estimate, Refinement
 from fmuid.discovery.find_law import noise_draws, pruned
 from fmuid.discovery.injected import Law, entry, free_name, with_laws
@@ -38,6 +40,7 @@ from fmuid.discovery.selection import DRIVEN, Chosen
 from fmuid.discovery.terms import Quantity, Term, ramps, table
 from fmuid.effects.effect import Effect
 from fmuid.effects.quantities import quantity_words
+from fmuid.identification.problem.cases import LOGGED
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Simulator
 
@@ -87,8 +90,9 @@ def tabulate(
 ) -> Tabulated | None:
     """Look for a table where the verdict leaves a gap; None if none predicts left-out experiments better.
 
-    A table over the own variable of a law of the best explanation, at its own port, may refine that law. Unless
-    its effects are all that is missing, a table may also take their place, or be in addition to them.
+    A table over the own variable of a law of the best explanation, at its own port, may refine that law, and then
+    make another effect needless. Unless its effects are all that is missing, a table may also take their place, or
+    be in addition to them.
 
     Parameters
     ----------
@@ -105,7 +109,8 @@ def tabulate(
     least = 0.0 if before is None else before.closure.validated
     named = () if outcome.best is None else (outcome.best,)
     finished = verdict.kind == "complete" or (bool(outcome.surviving) and verdict.rest is None)
-    if finished or not outcome.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
+    needless = [*_fewer(outcome)]
+    if (finished and not needless) or not outcome.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
         return None
     setups = dict.fromkeys(case.setup for case in subject.model.cases)
     inside = [inside_of(models[s]) for s in setups if s in models]
@@ -114,7 +119,13 @@ def tabulate(
     null = noise_draws(subject, outcome.nominal, seed).null(
         nominal_basis(outcome.nominal.fit, subject.observed), ()
     )
-    alone, *beside = (_Search(outcome, base, models, load, inside[0], null) for base in (outcome.nominal, *named))
+    bases = (outcome.nominal, *named, *needless)
+    alone, *beside = (_Search(outcome, base, models, load, inside[0], null) for base in bases)
+    beside, instead = beside[: len(named)], beside[len(named) :]
+    say("looking for a table", 0.962)
+    shaped = [table for search in instead if (table := search.refined(outcome.best)) is not None]
+    if shaped or finished:
+        return min(shaped, key=lambda t: t.fitted.held_out.mean, default=None)
     open_ = verdict.kind != "effect" or verdict.provisional
     searches = [*(s.refined for s in beside), *([alone.learned] if open_ else [])]
     searches += [s.learned for s in beside] if open_ else []
@@ -132,6 +143,25 @@ def tabulate(
             if closure(outcome.nominal.held_out, table.fitted.held_out) >= decide.CLOSURE_BEYOND_DOUBT:
                 break
     return min(tables, key=lambda t: t.fitted.held_out.mean, default=None)
+
+
+def _fewer(outcome: Found) -> Iterator[Fitted]:
+    """Yield the best explanation without an effect that another one's shape may make needless.
+
+    All others have to be certain. Two laws at one port may be one function, and remain.
+    """
+    subject, best, verdict = outcome.subject, outcome.best, outcome.diagnosis.verdict
+    if best is None or best not in outcome.surviving or len(best.effects) < 2:
+        return
+    for name in best.effects:
+        others = {n for n in best.effects if n != name}
+        if others <= {*verdict.effects} and subject.by_id[name].port not in {
+            subject.by_id[n].port for n in others
+        }:
+            searched = (c for c in outcome.candidates if {*c.effects} == others)
+            fewer = min(searched, key=lambda c: c.fit.cost, default=None) or without(subject, best, name)
+            if fewer is not None:
+                yield fewer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,18 +209,50 @@ class _Search:
     inside: FlatModel | Fmu
     null: Null
 
-    def refined(self) -> Tabulated | None:
-        """Return the model with a table over the own variable of one of its laws, if that law's shape is wrong."""
+    def refined(self, rival: Fitted | None = None) -> Tabulated | None:
+        """Return the model with a table over the own variable of one of its laws, if that law's shape is wrong.
+
+        With a `rival`, which has another effect, that would then have to be no longer worth adding.
+        """
         by_id = self.outcome.subject.by_id
         tried = []
         for effect in (by_id[id] for id in self.base.effects):
-            place = self._spot(effect.port) if effect.acts == "flow" and effect.expression else None
-            of_law = [q for q in place.quantities if q.name in _names(effect)] if place is not None else []
-            best = self._built(self._over_one(place, of_law)) if place is not None else None
-            if best is not None and _better(self.base, best.fitted):
+            best = self._built_over_own(effect) if effect.expression else None
+            if best is not None and self._mends(best.fitted, rival):
                 tried.append((best, effect.id))
         best, of = min(tried, key=lambda pair: pair[0].fitted.held_out.mean, default=(None, ""))
         return None if best is None else self._told(best, of)
+
+    def _mends(self, fitted: Fitted, rival: Fitted | None) -> bool:
+        if rival is None:
+            return _better(self.base, fitted)
+        return fitted.held_out.mean < self.base.held_out.mean and not decide.worth_adding(fitted, rival)
+
+    def _built_over_own(self, effect: Effect) -> _Built | None:
+        """Build tables over the own variable of a law, at its port, and return the best one."""
+        if effect.acts == "parameter" and not effect.states:
+            return self._best(self._of_coefficient(effect))
+        place = self._spot(effect.port) if effect.acts == "flow" else None
+        if place is None:
+            return None
+        return self._built(self._over_one(place, [q for q in place.quantities if q.name in _names(effect)]))
+
+    def _of_coefficient(self, effect: Effect) -> list[_Proposed]:
+        """Return tables of relative changes of a coefficient over what it depends on, with more and more knots."""
+        subject = self.outcome.subject
+        source, unit, courses = source_of(subject, effect, {**subject.model.fixed, **self.base.fit.values})
+        every = np.concatenate(courses)
+        low, high = float(every.min()), float(every.max())
+        x = Quantity(source, source, unit, max(abs(low), abs(high)), low, high)
+        port = parameter_port(effect.port, unit, "1")
+        time = tuple(case.time for case in subject.model.cases)
+        place = Spot(port, 1.0, tuple({source: course} for course in courses), time, (), (x,))
+        fine = _knots(place, x, _KNOTS[-1])
+        every_size = (fine[list(knots)] for knots in dict.fromkeys(_some(fine, n) for n in _KNOTS))
+        return [
+            _Proposed(place, _terms((x,), (at,)), (0.0,) * len(at), self.base.held_out, 0.0, (x,), (at,))
+            for at in every_size
+        ]
 
     def learned(self) -> Tabulated | None:
         """Return the model with a table where the rest enters."""
@@ -265,18 +327,22 @@ class _Search:
         yield _Proposed(place, _terms(over, knots), sizes, decoy.held_out, 0.0, over, knots)
 
     def _built(self, proposed: Iterable[_Proposed]) -> _Built | None:
-        """Build the most promising tables into the model and return the best one.
-
-        One size of each table is built. If the best one is over one variable, it is refitted in all sizes, and the
-        size that predicts best remains. A table is linear in its values, so linear steps compare tables; the one
-        that remains is refitted without each experiment. None if the best one closes next to nothing.
-        """
+        """Build the most promising tables into the model, one size of each, and return the best one."""
         sizes: dict[tuple[str, ...], list[_Proposed]] = {}
         for p in proposed:
             sizes.setdefault((p.spot.port.name, *(q.name for q in p.over)), []).append(p)
         best = sorted(map(_simplest, sizes.values()), key=lambda p: p.held_out.mean)[:_BUILT]
         better = [p for p in best if advantage(p.held_out, self.base.held_out)[0] > 0.0]
-        built = self._fitted(better, self.base.fit.values)
+        return self._best(better)
+
+    def _best(self, proposed: Sequence[_Proposed]) -> _Built | None:
+        """Build tables into the model and return the best one; None if it closes next to nothing.
+
+        If it is over one variable, it is refitted in all sizes, and the size that predicts best remains. A table
+        is linear in its values, so linear steps compare tables; the one that remains is refitted without each
+        experiment.
+        """
+        built = self._fitted(proposed, self.base.fit.values)
         if not built or closure(self.base, (first := _simplest(built)).fitted) < _GAIN:
             return None
         last = _simplest([first, *self._fitted(self._resized(first), first.fitted.fit.values)])
@@ -326,7 +392,7 @@ class _Search:
             return []
         subject = self.outcome.subject
         beside = [subject.by_id[id] for id in self.base.effects]
-        laws = [Law(p.spot, p.terms, f"{p.spot.port.name}.tried{k}") for k, p in enumerate(proposed)]
+        laws = [Law(p.spot, p.terms, f"{_owner(p.spot)}.tried{k}") for k, p in enumerate(proposed)]
         effects = [
             _effect(law, f"tried{k}@{law.spot.port.name}", "a table", p.trend)
             for k, (law, p) in enumerate(zip(laws, proposed, strict=True))
@@ -358,8 +424,9 @@ class _Search:
         place, port = built.law.spot, built.law.spot.port
         words = " and ".join(self._in_words(q, place) for q in built.over)
         word = "refinement" if of else "learned_table"
-        name = free_name([self.inside], port.name, word)
-        law = replace(built.law, base=f"{port.name}.{name}")
+        owner = _owner(place)
+        name = free_name([self.inside], owner, word)
+        law = replace(built.law, base=f"{owner}.{name}")
         what = f"table over {words} that refines the shape of {of}" if of else f"learned table over {words}"
         effect = _effect(law, f"{name}@{port.name}({words})", f"{port.name}: {what}", built.trend)
         renamed = dict(zip(built.law.sizes, law.sizes, strict=True))
@@ -402,9 +469,14 @@ class _Search:
 
     def _in_words(self, x: Quantity, place: Spot) -> str:
         """Return a variable in words: a quantity of the place in its domain, or a signal or variable by name."""
-        words = quantity_words(place.port.domain, place.port.units[0])
+        words = quantity_words(place.port.domain, place.port.units[0]) if place.port.kind != "parameter" else {}
         signals = {c.variable: c.signal for case in self.outcome.subject.model.cases for c in case.channels}
-        return words.get(x.name) or signals.get(x.name, x.name)
+        return words.get(x.name) or signals.get(x.name, x.name.removeprefix(LOGGED))
+
+
+def _owner(place: Spot) -> str:
+    """Return the beginning of names of parameters at a place; a coefficient may be that of one equation."""
+    return place.port.name.replace(":", ".")
 
 
 def _better(before: Fitted, after: Fitted) -> bool:

@@ -15,7 +15,6 @@ from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import Basis, folded, hats, quantile_knots, times, trajectories
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import stack
-from fmuid.diagnosis.varying import course_of
 from fmuid.effects.effect import Effect, Port, Regime
 from fmuid.effects.quantities import words_of
 from fmuid.report.diagnosis_figures import (
@@ -117,17 +116,15 @@ def _excess(outcome: Found) -> ExcessEnergy | None:
 
 def _coefficients(outcome: Found) -> tuple[MissingQuantity, ...]:
     """Return the coefficients that vary in the best answer, over what they depend on."""
-    best = outcome.surviving[0] if outcome.surviving else None
-    effects = [e for e in outcome.subject.effects if best is not None and e.id in best.effects]
-    courses = [course_of(outcome.subject, e, best.fit.values) for e in effects] if best is not None else []
+    best = outcome.diagnosis.best
+    courses = {id: c for id, c in outcome.courses.items() if best is not None and id in best.effects}
     return tuple(
         MissingQuantity(
             Axis(c.over, c.over_unit),
             Axis(c.name, c.unit),
-            (Branch(np.empty(0), np.empty(0), np.empty(0), ((effect.id, c.x, c.y),)),),
+            (Branch(np.empty(0), np.empty(0), np.empty(0), ((id, c.x, c.y),)),),
         )
-        for effect, c in zip(effects, courses, strict=True)
-        if c is not None
+        for id, c in courses.items()
     )
 
 

@@ -347,8 +347,9 @@ def tables_figure(diagnosis: Mapping[str, Any]) -> LineFigure | None:
             for k, (label, row) in enumerate(zip(labels, rows, strict=True))
         ]
         monotone = f", only {way}" if (way := one["table"].get("monotone")) else ""
-        what = "learned" if one["learned"] else "added"
-        quantity = Axis(f"{what} at {one['port']}{monotone}", one["table"]["unit"])
+        what = "learned at" if one["learned"] else "added at"
+        what = "relative change of" if one["effect"]["acts"] == "parameter" else what
+        quantity = Axis(f"{what} {one['port']}{monotone}", one["table"]["unit"])
         panels.append(Panel(one["id"], Axis(x["variable"], x["unit"]), quantity, tuple(lines)))
     if not panels:
         return None
