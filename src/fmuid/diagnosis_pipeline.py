@@ -21,6 +21,7 @@ from fmuid.core.folder_lock import claim
 from fmuid.core.one_thread import in_one_thread
 from fmuid.core.progress import Say, quiet
 from fmuid.data.averaging import averaged
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis import calibration, decide
 from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import Fitted, estimates, refit_only
@@ -31,7 +32,7 @@ from fmuid.diagnosis.diagnose import Found, diagnose_subject, where_left
 from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import with_catalogue, with_effect
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap
+from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.scores import SEEN
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences

@@ -23,11 +23,12 @@ import numpy as np
 
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.data.noise.spectrum import PiecewiseWhitener, Whitener
 from fmuid.data.noise.transform import from_real_spectrum
 from fmuid.diagnosis.cross_validation import CHORDS, HeldOut, leave_each_out, predicted_left_out
 from fmuid.diagnosis.extended_model import Prediction, linear_at
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, excesses, gap, project_off
+from fmuid.diagnosis.observed import Observed, excesses, gap, project_off
 from fmuid.diagnosis.refit import ITERATIONS, Refit, about, descend, refit
 from fmuid.diagnosis.scores import Score, nominal_basis, score_effects, stack, without_aliases
 from fmuid.diagnosis.subject import Subject

@@ -30,9 +30,10 @@ from scipy.special import ndtr
 
 from fmuid.core.campaign import SEPARATOR
 from fmuid.core.immutable import FloatArray, read_only
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.data.noise.spectrum import rounding_draws
 from fmuid.diagnosis.extended_model import Prediction
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, orthonormal, project_off
+from fmuid.diagnosis.observed import Observed, orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 
 _TOGETHER = 32  # signatures whose scores are computed at once: the draws are read once, and memory stays bounded

@@ -18,10 +18,11 @@ from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError, SimulationError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure
 from fmuid.diagnosis.free_functions import Decoy
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, Observed, gap
+from fmuid.diagnosis.observed import Observed, gap
 from fmuid.diagnosis.refit import Refit, about
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.subject import Subject

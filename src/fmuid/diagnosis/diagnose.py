@@ -12,6 +12,7 @@ from fmuid.core.formatting import html_lines, html_table, text_table
 from fmuid.core.immutable import FloatArray
 from fmuid.core.plottable import Plottable
 from fmuid.core.progress import Say, quiet
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.calibration import Calibration, Trial, says, shipped
 from fmuid.diagnosis.candidates import (
@@ -41,7 +42,7 @@ from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own_bases, responses_of, trajectories
 from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, excesses, gap
+from fmuid.diagnosis.observed import excess, excesses, gap
 from fmuid.diagnosis.scores import Score, hidden, largest_drop, nominal_basis, smallest_seen
 from fmuid.diagnosis.subject import Subject, tightened, with_states, without_spikes
 from fmuid.diagnosis.summary import likeliest, regime_text, summary

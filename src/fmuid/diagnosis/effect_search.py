@@ -11,6 +11,7 @@ import numpy as np
 
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     Fitted,
@@ -25,7 +26,7 @@ from fmuid.diagnosis.candidates import (
     without,
 )
 from fmuid.diagnosis.cross_validation import NoiseDraws
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess, project_off
+from fmuid.diagnosis.observed import excess, project_off
 from fmuid.diagnosis.refit import about
 from fmuid.diagnosis.scores import SEEN, Score, alias_classes, largest_drop, nominal_basis, similarity, stack
 from fmuid.diagnosis.subject import Subject

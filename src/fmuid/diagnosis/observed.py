@@ -34,7 +34,6 @@ def project_off(vectors: FloatArray, basis: FloatArray) -> FloatArray:
     return np.asarray(vectors - basis @ (basis.T @ vectors))
 
 
-GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 _FEW = 4  # experiments: with fewer, too little remains when one is left out
 _PIECES = 6  # number of pieces that a run without repeats is then cut into
 _SHORTEST = 64  # samples in the shortest piece

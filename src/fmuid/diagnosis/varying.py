@@ -25,8 +25,9 @@ from fmuid.core.formulas import parse, parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import toml_text
 from fmuid.data.filtering import first_order
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis.cross_validation import draw_noise
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, gap, project_off
+from fmuid.diagnosis.observed import gap, project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import SEEN, nominal_basis, stack
 from fmuid.diagnosis.subject import Subject

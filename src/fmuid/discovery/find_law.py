@@ -12,6 +12,7 @@ from fmu_build.flat_model import FlatModel
 from fmuid.core.campaign import ModelSpec
 from fmuid.core.errors import FmuidError, SimulationError
 from fmuid.core.progress import Say, quiet
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     Fitted,
@@ -27,7 +28,7 @@ from fmuid.diagnosis.candidates import (
 from fmuid.diagnosis.cross_validation import NoiseDraws, advantage, closure, closure_interval, draw_noise
 from fmuid.diagnosis.diagnose import Found, where_it_enters
 from fmuid.diagnosis.localisation import likelier
-from fmuid.diagnosis.observed import GAP_THAT_MATTERS, excess
+from fmuid.diagnosis.observed import excess
 from fmuid.diagnosis.scores import nominal_basis, score_effects
 from fmuid.diagnosis.subject import Subject, tightened
 from fmuid.diagnosis.verdict import Closure, Curve, LawFound, LawParameter

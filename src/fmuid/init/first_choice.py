@@ -15,6 +15,7 @@ from fmuid.core.errors import FmuidError, ProblemError, SimulationError
 from fmuid.core.experiments import Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.toml_tables import toml_text
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.data.noise.resolution import quantum
 from fmuid.data.noise.single_run import single_run_variance
 from fmuid.init.known_values import (
@@ -37,7 +38,6 @@ _LEAST_NEW = 1e-2  # least share of an effect that parameters chosen before do n
 _LEAST_EFFECT = 1e-4  # least effect, relative to the largest
 _ALL_BUT = 0.99  # relative to the longest column: a column of this length is as good
 _DEPENDS = 0.05  # relative change of an estimate with a fixed value
-_MATTERS = 0.25  # noise floors (RMS over a run): a smaller gap does not matter to a diagnosis either
 _ELSEWHERE = 10.0  # standard deviations of noise between the first samples of a run and of the model
 _SAME = 1e-3  # difference between the FMU's solver and fmuid's, relative to an output's range
 
@@ -255,7 +255,7 @@ def start_matters(
         moved /= np.maximum(np.sqrt((moved**2).sum(axis=(1, 2), keepdims=True)), 1e-300)
         change, *_ = np.linalg.lstsq(moved[:, :, 0].T, apart / noise, rcond=None)
         left = np.tensordot(change, moved, axes=1)
-        return bool(np.sqrt((left**2).mean(axis=1)).max() > _MATTERS)
+        return bool(np.sqrt((left**2).mean(axis=1)).max() > GAP_THAT_MATTERS)
     return True
 
 

@@ -17,6 +17,7 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.single_run import fast_variance
 
 Source = Literal["given", "repeats", "unknown"]
+GAP_THAT_MATTERS = 0.25  # noise floors: smaller gaps are within what sampling and discretisation of a rig leave
 
 
 @dataclass(frozen=True, slots=True)
