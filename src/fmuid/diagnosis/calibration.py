@@ -259,7 +259,7 @@ class _Maker:
         observed = self.subject.observed
         moved = stack(observed.residuals(prediction), observed) - stack(self.fit.residuals, observed)
         left = project_off(moved, nominal_basis(self.fit, observed)) / np.sqrt(_weights(observed))
-        return float(np.sqrt(np.mean(left**2)))
+        return float(np.linalg.norm(left) / np.sqrt(sum(int(band.sum()) for band in observed.in_band)))
 
     def _sized(self, effect: Effect, size: float) -> dict[str, float]:
         """Return the values at which the effect leaves a gap of `size`, as far as its bounds allow."""

@@ -287,7 +287,7 @@ def _log_prior(subject: Subject, effects: Sequence[Effect]) -> float:
     def places(effect: Effect) -> float:
         return len(catalogue) / others if effect.among == 1 else effect.among / of_coefficients
 
-    return -sum(float(np.log((others + of_coefficients) * places(e))) for e in effects)
+    return -float(sum(np.log((others + of_coefficients) * places(e)) for e in effects))
 
 
 def refit_only(
