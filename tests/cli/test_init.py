@@ -367,12 +367,18 @@ def test_what_is_wrong_with_a_signal_is_found_from_log_files_alone(
     plant = load_fmu(oscillator)
     for name, u in (("step", 5.0 * (time > 0.2)), ("chirp", 5 * np.sin((4 + 12 * time) * time))):
         acts = np.r_[[u[0]] * 3, u[:-3]] if truth == "delay@u" else u
-        x = plant.simulate(Task(time, {"u": acts}, ("x",)), {"m": 1.02, "d": 0.6, "c": 98.0})[0]
+        m = 1.0 if truth == "gain@position" else 1.02
+        x = plant.simulate(Task(time, {"u": acts}, ("x",)), {"m": m, "d": 0.6, "c": 98.0})[0]
         for k in range(5):
             position = 1e3 * x * (1.1 if truth == "gain@position" else 1.0) + rng.normal(0, 0.2, time.size)
             write_csv(Table(time, {"u": u, "position": position}, {"u": "N", "position": "mm"}), f"{name}_{k}.csv")
     files = sorted(tmp_path.glob("*.csv"))
     assert fmuid("init", *files, "--fmu", oscillator, "--unit", "position=mm")[0] == 0
+    if truth == "gain@position":  # which no other value of a known mass, stiffness or damping can do
+        campaign = Path("campaign/campaign.toml")
+        mass = '[parameters."m"] # mass\nstart = 1.0\n'
+        known = campaign.read_text().replace(mass, f"{mass}free = false\nknown = true\n")
+        campaign.write_text(known)
     code, out, err = fmuid("diagnose", "campaign", "--out", "found", "--workers", "0")
     assert (code, err) == (0, "")
     answer = json.loads(Path("found/diagnosis.json").read_text())
