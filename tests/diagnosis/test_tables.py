@@ -132,10 +132,11 @@ def test_the_source_of_a_corrected_model_has_tables_as_blocks_of_the_standard_li
 
 
 def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(tmp_path):
-    """Without repeats, a loss is named provisionally, and the table refines it."""
+    """Without repeats, it is named provisionally, as a coefficient that varies, and the table refines it."""
     answer, out = diagnosed(tmp_path, lambda value, wind: window(value))
     (table,) = answer["refinements"]
-    assert table["id"].endswith("@T.balance(temperature)")
+    assert (table["law"], table["variable"]) == ("varies@G(T)", "T")
+    assert answer["verdict"]["effects"] == answer["best"]["effects"] == ["varies@G(T)"]
     assert answer["verdict"]["provisional"]
     assert answer["best"]["closure"]["held_out"] > 0.7
     assert answer["best"]["closure"]["interval"][0] > 0.0
