@@ -10,15 +10,19 @@ from types import SimpleNamespace
 import jsonschema
 import numpy as np
 import pytest
+from plants import plant
 
 import fmuid
 from fmu_build.build import build
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import ModelSource
+from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.verdict import Closure
 from fmuid.diagnosis_pipeline import nearly_explained
+from fmuid.discovery.learned_table import _Search
 from fmuid.discovery.terms import Quantity, ramps, table
 from fmuid.effects.table_blocks import with_table_blocks
+from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.model_source import flat_model
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 
@@ -202,6 +206,20 @@ def test_a_coefficient_of_another_shape_is_refined_over_what_it_depends_on(tmp_p
     assert answer["corrected_differs"] < 0.05
     corrected = (out / "corrected" / "RoomCorrected.mo").read_text()
     assert "CombiTable1Ds 'G.refinement'(table = [" in corrected
+
+
+def test_beside_a_table_the_law_that_it_refines_is_known_and_other_parameters_loosely():
+    diagnosed = diagnose_subject(plant({"a": 0.3}))
+    search = _Search(diagnosed, diagnosed.best, {}, load_fmu, None, None)
+    subject, plain = diagnosed.subject, search._plain()
+    (law,) = (subject.by_id[id] for id in diagnosed.best.effects)
+    near = search._near_plain(law).outcome.subject
+    for unknowns, loose in ((near.by_id[law.id].unknowns, 1.0), (near.nominal, 3.0)):
+        for u in unknowns:
+            estimate = plain[u.name]
+            assert (u.start, u.sd) == pytest.approx((estimate.value, loose * estimate.standard_error))
+    others = [e for e in subject.effects if e is not law]
+    assert all(near.by_id[e.id].unknowns == e.unknowns for e in others)
 
 
 SHAFT = """

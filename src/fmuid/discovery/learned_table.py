@@ -38,7 +38,7 @@ from fmuid.discovery.injected import Law, entry, free_name, with_laws
 from fmuid.discovery.places import Spot, inside_of, spot
 from fmuid.discovery.selection import DRIVEN, Chosen
 from fmuid.discovery.terms import Quantity, Term, ramps, table
-from fmuid.effects.effect import Effect
+from fmuid.effects.effect import Effect, Unknown
 from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import LOGGED
 from fmuid.simulation.fmu import Fmu
@@ -52,6 +52,7 @@ _PLACES = 2  # places examined: those where a course over time is likeliest
 _PAIRED = 3  # variables at a place from which pairs are made: those that predict best alone
 _BUILT = 2  # variables whose tables are built into the model: those that predict best as driven inputs
 _GAIN = 0.1  # share of what is left that the best table has to close before other sizes of it are tried
+_LOOSE = 3.0  # standard errors: data that determine a parameter then move it by nine-tenths of what they would
 _STEPS = 1  # of refits without an experiment, after the linear one: tables are linear in their values
 _COARSE = 0.01  # share of the cost that an iteration of a refit has to gain
 _INTERVAL = 1.645  # standard errors: 90 %
@@ -140,7 +141,10 @@ def tabulate(
             continue
         if all(_better(b, table.fitted) for b in named):
             tables.append(table)
-            if closure(outcome.nominal.held_out, table.fitted.held_out) >= decide.CLOSURE_BEYOND_DOUBT:
+            closed = closure(outcome.nominal.held_out, table.fitted.held_out)
+            (refinement,) = table.best.refinements
+            of_answer = refinement.learned or refinement.effect in verdict.effects
+            if of_answer and closed >= decide.CLOSURE_BEYOND_DOUBT:
                 break
     return min(tables, key=lambda t: t.fitted.held_out.mean, default=None)
 
@@ -231,11 +235,36 @@ class _Search:
     def _built_over_own(self, effect: Effect) -> _Built | None:
         """Build tables over the own variable of a law, at its port, and return the best one."""
         if effect.acts == "parameter" and not effect.states:
-            return self._best(self._of_coefficient(effect))
+            return self._near_plain(effect)._best(self._of_coefficient(effect))
         place = self._spot(effect.port) if effect.acts == "flow" else None
         if place is None:
             return None
-        return self._built(self._over_one(place, [q for q in place.quantities if q.name in _names(effect)]))
+        variables = [q for q in place.quantities if q.name in _names(effect)]
+        return self._near_plain(effect)._built(self._over_one(place, variables))
+
+    def _near_plain(self, effect: Effect) -> _Search:
+        """Return the search with prior knowledge of all parameters from the model without a table.
+
+        A table imitates its law at any size, so the law keeps the size that it has without one, within its error.
+        Other parameters, such as viscous friction, are known loosely: they move with what the data say.
+        """
+        subject, plain = self.outcome.subject, self._plain()
+
+        def known(u: Unknown) -> Unknown:
+            estimate = plain.get(u.name, Estimate(u.start))
+            error = estimate.standard_error
+            loose = 1.0 if u.name in effect.neutral else _LOOSE
+            return u if not error or np.isfinite(u.sd) else replace(u, start=estimate.value, sd=loose * error)
+
+        effects = {id: replace(e, unknowns=tuple(map(known, e.unknowns))) for id, e in subject.by_id.items()}
+        catalogue = replace(subject.catalogue, effects={**subject.catalogue.effects, **effects})
+        nominal, every = tuple(map(known, subject.nominal)), tuple(effects[e.id] for e in subject.effects)
+        subject = replace(subject, nominal=nominal, catalogue=catalogue, effects=every)
+        return replace(self, outcome=replace(self.outcome, subject=subject))
+
+    def _plain(self) -> dict[str, Estimate]:
+        """Return the estimates of the model without a table."""
+        return estimates(self.base, self.outcome.subject, self.outcome.nominal, self.outcome.scores)
 
     def _of_coefficient(self, effect: Effect) -> list[_Proposed]:
         """Return tables of relative changes of a coefficient over what it depends on, with more and more knots."""
@@ -457,13 +486,12 @@ class _Search:
 
     def _covering(self, refined: Mapping[str, Estimate]) -> dict[str, Estimate]:
         """Return parameters of a refined law with errors whose 90 % intervals cover those of the plain law."""
-        plain = estimates(self.base, self.outcome.subject, self.outcome.nominal, self.outcome.scores)
+        plain = self._plain()
 
         def both(one: Estimate, other: Estimate) -> Estimate:
             moved = abs(one.value - other.value) / _INTERVAL
-            return replace(
-                one, standard_error=None if other.standard_error is None else other.standard_error + moved
-            )
+            error = None if other.standard_error is None else other.standard_error + moved
+            return replace(other, value=one.value, standard_error=error)
 
         return {n: both(e, plain[n]) for n, e in refined.items() if n in plain}
 
