@@ -74,7 +74,8 @@ def draw(lacking, verdict, *candidates, effects=()):
             best=candidates[0],
             surviving=candidates,
             candidates=candidates,
-            diagnosis=SimpleNamespace(verdict=verdict),
+            diagnosis=SimpleNamespace(verdict=verdict, best=None),
+            courses={},
             excess=excess_map(observed, [np.zeros((1, TIME.size))], paths),
             paths=paths,
         )
