@@ -14,12 +14,14 @@ from plants import plant
 
 import fmuid
 from fmu_build.build import build
+from fmu_build.errors import ModelicaError
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import ModelSource
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.verdict import Closure
 from fmuid.diagnosis_pipeline import nearly_explained
-from fmuid.discovery.learned_table import _Search
+from fmuid.discovery import learned_table
+from fmuid.discovery.learned_table import _Search, tabulate
 from fmuid.discovery.terms import Quantity, ramps, table
 from fmuid.effects.table_blocks import with_table_blocks
 from fmuid.simulation.fmu import load_fmu
@@ -220,6 +222,20 @@ def test_beside_a_table_the_law_that_it_refines_is_known_and_other_parameters_lo
             assert (u.start, u.sd) == pytest.approx((estimate.value, loose * estimate.standard_error))
     others = [e for e in subject.effects if e is not law]
     assert all(near.by_id[e.id].unknowns == e.unknowns for e in others)
+
+
+def test_a_table_that_cannot_be_built_in_place_of_an_effect_is_no_error(monkeypatch):
+    tried = []
+
+    def refined(search, rival=None):
+        tried.append((search.base.effects, rival))
+        raise ModelicaError("the model cannot be built")
+
+    monkeypatch.setattr(learned_table, "inside_of", lambda model: model)
+    monkeypatch.setattr(_Search, "refined", refined)
+    diagnosed = diagnose_subject(plant({"a": 0.3}, delay=0.03))
+    assert tabulate(diagnosed, {"bench": object()}, load_fmu) is None
+    assert (("asymmetry",), diagnosed.best) in tried
 
 
 SHAFT = """

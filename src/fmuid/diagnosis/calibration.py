@@ -31,7 +31,7 @@ from fmuid.data.noise.spectrum import whitener
 from fmuid.data.noise.transform import from_real_spectrum, real_spectrum
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import bases
-from fmuid.diagnosis.observed import Observed, project_off
+from fmuid.diagnosis.observed import Observed, excesses, project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
@@ -259,7 +259,8 @@ class _Maker:
         observed = self.subject.observed
         moved = stack(observed.residuals(prediction), observed) - stack(self.fit.residuals, observed)
         left = project_off(moved, nominal_basis(self.fit, observed)) / np.sqrt(_weights(observed))
-        return float(np.linalg.norm(left) / np.sqrt(sum(int(band.sum()) for band in observed.in_band)))
+        _, count = excesses(self.fit.residuals, observed)
+        return float(np.linalg.norm(left) / np.sqrt(count.sum()))
 
     def _sized(self, effect: Effect, size: float) -> dict[str, float]:
         """Return the values at which the effect leaves a gap of `size`, as far as its bounds allow."""

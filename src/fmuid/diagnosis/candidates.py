@@ -196,7 +196,7 @@ def _ends(
 
 _SIZE = (0.03, 3.0)  # of a first guess, in trials: a response is linear only so far
 _CAREFUL = 4  # quick searches from which careful ones continue, and those that end as well as the best
-HOPELESS = 2.5  # times the cost of a rival: a gap over 1.5 times as large, which no open answer leaves
+_HOPELESS = 2.5  # times the cost of a rival: a gap over 1.5 times as large, which no open answer leaves
 _AS_MUCH = 0.5  # share of the best quick gain: one that gains less was never seen to overtake it with care
 _ESCAPES = 2  # from local minima of one refit
 _TWINS = 4  # number of effects, left out in favour of one that was found, that are refitted in its place
@@ -251,7 +251,7 @@ def fit_effects(
     If it fits worse than its `rival`, its predictions of left-out experiments are those of one step. If its cost
     is above `most`, or too far above that of its rival for an answer, they are linear, and the refit need not end.
     """
-    most = min(most, HOPELESS * rival)
+    most = min(most, _HOPELESS * rival)
     fit = refit_only(subject, effects, starts, iterations=iterations, tolerance=tolerance, rival=rival, most=most)
     if fit is None:
         return None
@@ -407,7 +407,7 @@ def _promise(score: Score, basis: FloatArray, residual: FloatArray) -> float:
 def without(subject: Subject, fitted: Fitted, name: str, *, compared: bool = False) -> Fitted | None:
     """Refit `fitted` without one of its effects, to the end unless it is only `compared` with `fitted`."""
     effects = [subject.by_id[n] for n in fitted.effects if n != name]
-    most = HOPELESS * fitted.fit.cost if compared else np.inf
+    most = _HOPELESS * fitted.fit.cost if compared else np.inf
     return fit_effects(subject, effects, [fitted.fit.values], most=most)
 
 

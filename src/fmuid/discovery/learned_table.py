@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import TypeVar
 
@@ -110,43 +111,62 @@ def tabulate(
     least = 0.0 if before is None else before.closure.validated
     named = () if outcome.best is None else (outcome.best,)
     finished = verdict.kind == "complete" or (bool(outcome.surviving) and verdict.rest is None)
-    needless = [*_fewer(outcome)]
-    if (finished and not needless) or not outcome.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
+    if not outcome.diagnosis.gap.present or len(set(subject.observed.groups)) < 2:
         return None
-    setups = dict.fromkeys(case.setup for case in subject.model.cases)
-    inside = [inside_of(models[s]) for s in setups if s in models]
-    if len(inside) < len(setups) or None in inside or inside[0] is None:
+    inside = _inside(subject, models)
+    if inside is None:
+        return None
+    needless = [*_fewer(outcome)]
+    if finished and not needless:
         return None
     null = noise_draws(subject, outcome.nominal, seed).null(
         nominal_basis(outcome.nominal.fit, subject.observed), ()
     )
-    bases = (outcome.nominal, *named, *needless)
-    alone, *beside = (_Search(outcome, base, models, load, inside[0], null) for base in bases)
-    beside, instead = beside[: len(named)], beside[len(named) :]
-    say("looking for a table", 0.962)
-    shaped = [table for search in instead if (table := search.refined(outcome.best)) is not None]
-    if shaped or finished:
-        return min(shaped, key=lambda t: t.fitted.held_out.mean, default=None)
+
+    def search(base: Fitted) -> _Search:
+        return _Search(outcome, base, models, load, inside, null)
+
+    tried = partial(_tried, say)
+    shaped = [tried(partial(search(base).refined, outcome.best)) for base in needless]
+    if any(shaped) or finished:
+        return min(filter(None, shaped), key=lambda t: t.fitted.held_out.mean, default=None)
     open_ = verdict.kind != "effect" or verdict.provisional
-    searches = [*(s.refined for s in beside), *([alone.learned] if open_ else [])]
+    beside = [search(base) for base in named]
+    searches = [*(s.refined for s in beside), *([search(outcome.nominal).learned] if open_ else [])]
     searches += [s.learned for s in beside] if open_ else []
     tables: list[Tabulated] = []
-    for search in searches:
-        say("looking for a table", 0.962)
-        try:
-            table = search()
-        except UserError:  # a model that cannot be built or simulated yields no table
+    for built in map(tried, searches):
+        if built is None or built.best.closure.validated <= least:
             continue
-        if table is None or table.best.closure.validated <= least:
-            continue
-        if all(_better(b, table.fitted) for b in named):
-            tables.append(table)
-            closed = closure(outcome.nominal.held_out, table.fitted.held_out)
-            (refinement,) = table.best.refinements
-            of_answer = refinement.learned or refinement.effect in verdict.effects
-            if of_answer and closed >= decide.CLOSURE_BEYOND_DOUBT:
+        if all(_better(b, built.fitted) for b in named):
+            tables.append(built)
+            if _settles(built, outcome):
                 break
     return min(tables, key=lambda t: t.fitted.held_out.mean, default=None)
+
+
+def _tried(say: Say, build: Callable[[], Tabulated | None]) -> Tabulated | None:
+    """Return a table; None if a model with it cannot be built or simulated."""
+    say("looking for a table", 0.962)
+    try:
+        return build()
+    except UserError:
+        return None
+
+
+def _settles(built: Tabulated, outcome: Found) -> bool:
+    """Return whether a table, learned or for a law of the verdict, closes the gap beyond doubt."""
+    closed = closure(outcome.nominal.held_out, built.fitted.held_out)
+    (refinement,) = built.best.refinements
+    of_answer = refinement.learned or refinement.effect in outcome.diagnosis.verdict.effects
+    return of_answer and closed >= decide.CLOSURE_BEYOND_DOUBT
+
+
+def _inside(subject: Subject, models: Mapping[str, ModelSpec]) -> FlatModel | Fmu | None:
+    """Return the first model's source, or its FMU for model exchange; None unless all models have one of them."""
+    setups = dict.fromkeys(case.setup for case in subject.model.cases)
+    insides = [inside_of(models[s]) if s in models else None for s in setups]
+    return None if None in insides else insides[0]
 
 
 def _fewer(outcome: Found) -> Iterator[Fitted]:
@@ -367,9 +387,8 @@ class _Search:
     def _best(self, proposed: Sequence[_Proposed]) -> _Built | None:
         """Build tables into the model and return the best one; None if it closes next to nothing.
 
-        If it is over one variable, it is refitted in all sizes, and the size that predicts best remains. A table
-        is linear in its values, so linear steps compare tables; the one that remains is refitted without each
-        experiment.
+        A table over one variable is refitted in all sizes, and the size that predicts best remains. Linear steps
+        compare tables, which are linear in their values. The best table is refitted without each experiment.
         """
         built = self._fitted(proposed, self.base.fit.values)
         if not built or closure(self.base, (first := _simplest(built)).fitted) < _GAIN:
