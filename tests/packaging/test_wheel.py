@@ -45,7 +45,7 @@ def test_everything_is_in_the_wheel(wheel: Path) -> None:
     } <= packed
     assert "fmuid/simulation/_stepper.abi3.so" in packed  # compiled, for every version of Python
     assert "-cp311-abi3-" in wheel.name
-    assert [name for name in packed if re.search("blind|virtual_rig|emps|go1|reference", name.lower())] == []
+    assert [name for name in packed if re.search("blind|virtual_rig|emps|go1", name.lower())] == []
     packaged = {name for name in packed if not name.split("/")[0].endswith(".dist-info")}
     assert {name.split("/")[0] for name in packaged} == set(SOURCES.values())
 
