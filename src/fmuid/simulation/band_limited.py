@@ -75,7 +75,7 @@ def refined(task: Task, variables: Mapping[str, Variable]) -> Task:
 
 def at_samples(predictions: FloatArray, task: Task) -> FloatArray:
     """Return predictions at the samples of a task, of those at all communication points."""
-    return np.ascontiguousarray(task.sampled(predictions))
+    return predictions if task.every == 1 else np.ascontiguousarray(task.sampled(predictions))
 
 
 def _with_readings(task: Task) -> Task:

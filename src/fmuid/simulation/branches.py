@@ -42,11 +42,10 @@ class Branches:
     def begin(self, prepared: PreparedTask, outputs: FloatArray) -> _Key | None:
         """Let the next run of a plan go on from the latest state that fits, and leave one for later runs.
 
-        Return the arguments of `end`; None if the run shares nothing.
+        Return the arguments of `end`; None if the run shares nothing after all.
         """
         plan, task = prepared.plan, prepared.task
-        if task.shared is None:
-            return None
+        assert task.shared is not None
         plan.from_state, plan.kept, plan.branch = None, None, -1
         act = bool(task.after)  # inputs of a sample have then acted when the state is kept
         branch = task.shared[1] - act
@@ -67,10 +66,10 @@ class Branches:
             plan.branch = branch
         return key
 
-    def end(self, key: _Key | None, prepared: PreparedTask, outputs: FloatArray | None) -> None:
+    def end(self, key: _Key, prepared: PreparedTask, outputs: FloatArray | None) -> None:
         """Keep the state that a run left; free it if the run has no complete `outputs`."""
         plan = prepared.plan
-        if key is None or plan.kept is None:
+        if plan.kept is None:
             return
         if outputs is None:
             prepared.library.free_state(plan.instance, plan.kept)

@@ -41,7 +41,7 @@ from fmuid.simulation.fmu_variables import (
     read_variables,
 )
 from fmuid.simulation.simulator import EndedError, Simulator, Task, Variable
-from fmuid.simulation.stepper import FUNCTIONS, Outcome
+from fmuid.simulation.stepper import DONE, FUNCTIONS, Outcome
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _FATAL = 4
@@ -479,12 +479,13 @@ class Fmu(Simulator):
         predictions = prepared.outputs(n_times)
         n_points = predictions.shape[-1]
         self.engage(prepared, self._patience.of_run(n_points))
-        key = self._branches.begin(prepared, predictions) if self.saves_state else None
+        shares = prepared.task.shared is not None and self.saves_state
+        key = self._branches.begin(prepared, predictions) if shares else None
         fatal = False
         finished = False
         try:
             outcome = self._patience.run_to_end(_run(), plan, n_points)
-            if outcome == Outcome.DONE:
+            if outcome == DONE:
                 finished = True
                 return predictions
             failed = FUNCTIONS[plan.call] if outcome == Outcome.CALL_FAILED else None
@@ -495,7 +496,7 @@ class Fmu(Simulator):
                 fix = "compare it with runs that end by then (fmuid import --cut)"
                 error = EndedError(error.what, where=error.where, fix=fix, predictions=known)
         finally:
-            if not fatal:
+            if key is not None and not fatal:
                 self._branches.end(key, prepared, predictions if finished else None)
             if not finished:  # also on Ctrl-C, because the state of the FMU is then unknown
                 self.discard(fatal)

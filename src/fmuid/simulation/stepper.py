@@ -84,6 +84,9 @@ class Outcome(IntEnum):
     TOO_SLOW = 9
 
 
+DONE, _PAUSED = int(Outcome.DONE), int(Outcome.PAUSED)  # for every run: members of an enumeration are found slowly
+
+
 class Group(ctypes.Structure):
     """Variables of one type, set or read by one call; as in stepper.c."""
 
@@ -217,7 +220,8 @@ class Patience:
 
     def of_run(self, n_times: int) -> float:
         """Return how long a run over so many communication points may take, s; infinite before one has ended."""
-        return max(_PATIENCE / (1 + self._late), _SLOWER * self._usual * n_times)
+        least, slow = _PATIENCE / (1 + self._late), _SLOWER * self._usual * n_times
+        return slow if slow > least else least
 
     def run_to_end(self, run: Callable[[T, int, float], int], subject: T, n_times: int) -> int:
         """Return the outcome of ``run(subject, resume, slice)``; it pauses so that Ctrl-C takes effect.
@@ -228,16 +232,16 @@ class Patience:
         called = time.perf_counter()
         outcome = run(subject, 0, _SLICE)
         taken = min(subject.taken, _SLICE)
-        if outcome == Outcome.PAUSED:
+        if outcome == _PAUSED:
             begun = time.thread_time() - taken
             patience = self.of_run(n_times)
-            while outcome == Outcome.PAUSED:
+            while outcome == _PAUSED:
                 if time.thread_time() - begun > patience:
                     outcome = Outcome.TOO_SLOW
                     break
                 outcome = run(subject, 1, _SLICE)
             taken = time.thread_time() - begun
-        if outcome == Outcome.DONE:
+        if outcome == DONE:
             self._taken.append(taken / n_times)
             if (n := len(self._taken)) & (n - 1) == 0:
                 self._usual = float(np.median(self._taken))
