@@ -31,9 +31,11 @@ DEFAULT_TOLERANCE = 1e-6
 # over the directions of derivatives gain a tenth by vectors.
 # Processors reorder instructions themselves: scheduling them takes an eighth of the compiler's time for nothing.
 C_FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
-# Functions that a simulation seldom calls, or that only pass on a call, are not worth optimising. Equations, which
-# are straight code, gain nothing from the second level, which takes twice the time.
+# Functions that a simulation seldom calls are not worth optimising. Equations, which are straight code, gain
+# nothing from the second level, which takes twice the time. Communication points are many calls and
+# short loops.
 _FAST = ("-O2", "-funroll-loops", "-fno-tree-vectorize", "-fno-schedule-insns2")
+_CALLS = ("-O2",)
 _VECTORS = ("-O3",)
 _PLAIN = ("-O1",)
 _SELDOM = ("-O0",)
@@ -47,10 +49,11 @@ _OF_MODEL: Levels = (
 # ... and what does not.
 _GENERATED = {"model.c", "model_rare.c"}
 _RUNTIME: Levels = (
+    (_CALLS, ("evaluation.c", "simulate.c", "variables.c")),
     (_FAST, ("integrator.c", "linear.c", "past.c", "transport.c")),
+    (_FAST, ("events.c", "kinks.c")),
     (_VECTORS, ("sensitivity.c",)),
-    (_PLAIN, ("directions.c", "evaluation.c", "events.c", "kinks.c", "least_norm.c", "pivoting.c")),
-    (_PLAIN, ("simulate.c", "variables.c")),
+    (_PLAIN, ("directions.c", "least_norm.c", "pivoting.c")),
     (_SELDOM, ("arrays.c", "assertions.c", "initialise.c", "lifecycle.c", "starts.c", "event_sensitivity.c")),
     (_SELDOM, ("delays.c", "sensitivity_rare.c", "pivoted_blocks.c")),
 )
@@ -274,7 +277,8 @@ def _write(folder: Path, files: dict[str, str]) -> None:
 
 
 def _runtime_levels(fmi: FmiVersion) -> Levels:
-    return (*_RUNTIME, (_SELDOM, (f"fmi{fmi}.c",)))
+    (flags, files), *others = _RUNTIME
+    return ((flags, (*files, f"fmi{fmi}.c")), *others)
 
 
 def _commands(folder: Path, compiler: tuple[str, ...], levels: Levels) -> tuple[list[list[str]], list[str]]:

@@ -80,12 +80,16 @@ void relations(Instance *me, double t, const double *x, const double *u, double 
     relations_within(me, -1.0, t, x, u, m); /* no such tolerance */
 }
 
-/* Between communication points an input may have changed before the event iteration of the next step: for reading
- * variables the relations follow it at once, the discrete variables do not. `kept` receives the old relations. */
+/* Whether an input has changed between communication points, before the event iteration of the next step. */
+static inline int relations_are_late(const Instance *me) {
+    return me->s.input_event && NM > 0 && me->s.phase == PHASE_STEP;
+}
+
+/* For reading variables the relations follow it at once, the discrete variables do not. `kept` receives the old ones. */
 int relations_for_input(Instance *me, double *kept) {
     State *s = &me->s;
     memcpy(kept, s->m, BYTES(NM));
-    if (NM == 0 || !s->input_event || s->phase != PHASE_STEP) return 0;
+    if (!relations_are_late(me)) return 0;
     for (int round = 0; round < 10; round++) {
         ZEROS(m, NM);
         if (solve_loop(me, s->t, s->x, s->u)) return 1;
@@ -101,11 +105,12 @@ static int evaluate(Instance *me, int *have, double *values, ModelFunction funct
     State *s = &me->s;
     if (*have) return 0;
     double kept[LENGTH(NM)];
-    int failed = relations_for_input(me, kept) || solve_loop(me, s->t, s->x, s->u);
+    const int late = relations_are_late(me);
+    int failed = (late && relations_for_input(me, kept)) || solve_loop(me, s->t, s->x, s->u);
     environment_at(me, &s->t, s->x, s->u);
     me->res[0] = values;
     failed = failed || function(me->arg, me->res, me->iw, me->w, s->laws);
-    memcpy(s->m, kept, sizeof kept);
+    if (late) memcpy(s->m, kept, sizeof kept);
     *have = !failed;
     return failed;
 }

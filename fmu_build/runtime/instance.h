@@ -120,7 +120,11 @@ struct Instance {
 /* variables.c: by value reference; a failure says what, where and when and returns `status` */
 Status report(const Instance *me, Status status, const char *format, ...);
 Status whole_numbers(const Instance *me);
-const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type);
+const VariableEntry *no_entry(const Instance *me, unsigned reference, VariableType type);
+static inline const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type) {
+    const VariableEntry *entry = model.variables + reference;
+    return reference < (unsigned)model.n_variables && entry->type == type ? entry : no_entry(me, reference, type);
+}
 const VariableEntry *differentiable(const Instance *me, unsigned reference);
 int input_place(unsigned reference, double *sign);
 

@@ -22,8 +22,8 @@ static Status refresh(Instance *me, Vector vector) {
     }
     int failed = 0;
     if (vector == VECTOR_Y) failed = solve_loop(me, s->t, s->x, s->u);
-    if (vector == VECTOR_DX) failed = evaluate_derivatives(me);
-    if (vector == VECTOR_V) failed = evaluate_variables(me);
+    if (vector == VECTOR_DX && !s->have_dx) failed = evaluate_derivatives(me);
+    if (vector == VECTOR_V && !s->have_v) failed = evaluate_variables(me);
     if (vector == VECTOR_G) failed = event_indicators(me, me->g);
     if (failed) return report(me, STATUS_ERROR, "t = %.9g: an algebraic loop has no solution", s->t);
     return STATUS_OK;

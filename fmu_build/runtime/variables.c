@@ -29,17 +29,14 @@ Status whole_numbers(const Instance *me) {
 
 static const char *const TYPE_NAME[] = {"Real", "Integer", "Boolean"};
 
-const VariableEntry *entry_of(const Instance *me, unsigned reference, VariableType type) {
-    if (reference >= (unsigned)model.n_variables) {
+/* Says why a value reference does not lead to a variable of this type. */
+const VariableEntry *no_entry(const Instance *me, unsigned reference, VariableType type) {
+    if (reference >= (unsigned)model.n_variables)
         report(me, STATUS_ERROR, "no variable has the value reference %u", reference);
-        return NULL;
-    }
-    if (model.variables[reference].type != type) {
+    else
         report(me, STATUS_ERROR, "%s is of type %s, not %s", model.variables[reference].name,
                TYPE_NAME[model.variables[reference].type], TYPE_NAME[type]);
-        return NULL;
-    }
-    return &model.variables[reference];
+    return NULL;
 }
 
 /* A real variable that has a derivative; NULL with a message. */
