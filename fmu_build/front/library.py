@@ -53,6 +53,19 @@ class Library:
             self._tops[name] = self._find(name)
         return self._tops[name]
 
+    def resource(self, uri: str) -> str:
+        """Path of the file that a URI of Modelica or a path from the user's file names."""
+        path = self.file.parent / uri
+        if uri.startswith("modelica://"):
+            package, _, rest = uri.removeprefix("modelica://").partition("/")
+            first, *inner = package.split(".")
+            top = self.top(first)
+            folder = top.folder if top is not None else ""
+            path = Path(folder or self.file.parent, *inner, rest)
+        if path.is_file():
+            self.used[path] = None
+        return str(path)
+
     def names(self) -> list[str]:
         """Qualified names of the classes in the user's own file and package."""
         names: list[str] = []

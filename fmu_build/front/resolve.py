@@ -73,6 +73,7 @@ from fmu_build.syntax import (
 Env = dict[str, Literal | None]  # loop variables: their value, or None if they remain
 _RANK = {"constant": 0, "parameter": 1, "discrete": 2}
 _ANIMATION = "Modelica.Utilities.Internal.PartialModelicaServices.Animation."
+_LOCATES = ("Modelica.Utilities.Files.loadResource", "ModelicaServices.ExternalReferences.loadResource")
 _MOST_NESTED = 20  # components of one class inside each other
 _MOST_ELEMENTS = 20_000  # of an array of components
 
@@ -939,11 +940,14 @@ class Resolver:
         function = self.functions[key]
         arguments = self._positional(e, [f.name for f in function.inputs], name, scope, env)
         arguments = _with_outside(function, arguments)
-        if function.external is not None and function.external[0].startswith("builtin:"):
-            by_name = dict(zip([f.name for f in function.inputs], arguments, strict=False))
-            used = [by_name[a.name] for a in function.external[1] if isinstance(a, Reference)]
-            return Call(e.at, function.external[0].removeprefix("builtin:"), tuple(used))
-        return Call(e.at, key, arguments)
+        call = Call(e.at, key, arguments)
+        return self._located(call) if ref.definition.path in _LOCATES else _built_in(function, call)
+
+    def _located(self, call: Call) -> Expression:
+        """Return the path of a resource, which is known when the model is built."""
+        (uri,) = call.arguments
+        name = None if uri is None else self.maybe_known(uri)
+        return Literal(call.at, self.world.library.resource(name)) if isinstance(name, str) else call
 
     def _constructor_key(self, ref: ClassRef, e: Call, scope: Instance, env: Env) -> str | None:
         """Key of the constructor of an operator record that fits a call."""
@@ -1586,6 +1590,15 @@ def _in_package(instance: Instance) -> bool:
             return True
         owner = owner.root.owner
     return False
+
+
+def _built_in(function: Function, call: Call) -> Call:
+    """Return the call of a built-in function that a function stands for, else the one given."""
+    if function.external is None or not function.external[0].startswith("builtin:"):
+        return call
+    by_name = dict(zip([f.name for f in function.inputs], call.arguments, strict=False))
+    used = [by_name[a.name] for a in function.external[1] if isinstance(a, Reference)]
+    return Call(call.at, function.external[0].removeprefix("builtin:"), tuple(used))
 
 
 def _with_outside(function: Function, arguments: tuple[Expression | None, ...]) -> tuple[Expression | None, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -53,20 +54,45 @@ def test_friction_element_in_the_standard_librarys_manner(tmp_path):
     assert set(mode) == {-1, 0, 1}
 
 
-LINES = {  # u, linear with the last two points, held, steps: of the first column
-    -1.0: (-1.0, 1.0, 1.0), 0.5: (2.0, 2.0, 1.0), 1.0: (3.0, 3.0, 3.0), 2.0: (3.5, 3.5, 3.0), 5.0: (5.0, 4.0, 4.0),
+LINES = {  # u, linear with the last two points, held, steps (lines beyond the ends): of the first column
+    -1.0: (-1.0, 1.0, -1.0), 0.5: (2.0, 2.0, 1.0), 1.0: (3.0, 3.0, 3.0), 2.0: (3.5, 3.5, 3.0), 5.0: (5.0, 4.0, 5.0),
 }  # fmt: skip
 
 
+SMOOTH = {-1.0: -1.75, 0.5: 2.234375, 1.0: 3.0, 3.5: 4.075757576, 6.25: -2.056640625, 8.0: 4.5}
+
+
 @pytest.mark.parametrize("u", LINES)
-@pytest.mark.parametrize(("name", "which"), [("Table", 0), ("Held", 1), ("Steps", 2)])
+@pytest.mark.parametrize(("name", "which"), [("Table", 0), ("Held", 1), ("Steps", 2), ("FromFile", 0)])
 def test_tables(name, which, u):
     instance = Instance.of(compiled(name))
     assert instance.get("y[1]", 0.0, NOTHING, [u]) == pytest.approx(LINES[u][which])
     assert instance.get("last", 0.0, NOTHING, [u]) == 3.0
-    second = {-1.0: (0.0, 10.0, 10.0), 0.5: (15.0, 15.0, 10.0), 2.0: (30.0, 30.0, 20.0), 5.0: (60.0, 40.0, 40.0)}
+    second = {-1.0: (0.0, 10.0, 0.0), 0.5: (15.0, 15.0, 10.0), 2.0: (30.0, 30.0, 20.0), 5.0: (60.0, 40.0, 60.0)}
     if u in second:
         assert instance.get("y[2]", 0.0, NOTHING, [u]) == pytest.approx(second[u][which])
+
+
+def test_an_fmu_is_built_again_after_its_table_changed(tmp_path):
+    for name in ("Standard.mo", "table.txt"):
+        shutil.copy(MODELS.with_name(name), tmp_path)
+    for first in (1.0, 5.0):
+        fmu = Fmu(build(tmp_path / "Standard.mo", "Standard.FromFile", tmp_path, roots=ROOTS))
+        assert fmu.simulate(Task(np.arange(2.0), {"u": np.zeros(2)}, ("y[1]",)), {})[0, 0] == first
+        (tmp_path / "table.txt").write_text("#1\nfloat tab(2, 3)\n0 5 1\n1 6 2\n")
+
+
+@pytest.mark.parametrize("u", SMOOTH)
+def test_derivatives_of_a_smooth_table_are_those_of_its_curve(u):
+    instance = Instance.of(compiled("Akima"))
+    place = find(instance.model, "y[2]").location.index
+    env = instance.env(0.0, NOTHING, [u])
+    slope = values(
+        instance.model.functions["variable_partials"](*env, [], [1.0], np.zeros(instance.model.n_p), [], [])
+    )
+    nearby = [instance.get("y[2]", 0.0, NOTHING, [u + h]) for h in (-1e-6, 1e-6)]
+    assert instance.get("y[2]", 0.0, NOTHING, [u]) == pytest.approx(SMOOTH[u])
+    assert slope[place] == pytest.approx((nearby[1] - nearby[0]) / 2e-6, abs=1e-5)
 
 
 def test_derivatives_of_a_table_by_its_entries_and_abscissa():
@@ -82,7 +108,7 @@ def test_derivatives_of_a_table_by_its_entries_and_abscissa():
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("Akima", "LinearSegments"), ("Periodic", "HoldLastPoint"), ("FromFile", "a table read from a file")],
+    [("Periodic", "HoldLastPoint"), ("NoFile", "'tab' cannot be read from the text file '.*none.txt'")],
 )
 def test_tables_that_are_not_supported_are_refused_with_their_line(name, message):
     with pytest.raises(ModelicaError, match=rf"Standard\.mo:\d+: .*{message}"):

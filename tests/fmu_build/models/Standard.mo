@@ -27,13 +27,13 @@ package Standard "Models between Drives and the Standard Library's interfaces"
     parameter Real table[:, 3] = [0, 1, 10; 1, 3, 20; 3, 4, 40];
     parameter Smoothness smoothness = Smoothness.LinearSegments;
     parameter Extrapolation extrapolation = Extrapolation.LastTwoPoints;
-    parameter Boolean fromFile = false;
+    parameter String file = "NoName";
     input Real u;
     output Real y[2];
     output Real last = Modelica.Blocks.Tables.Internal.getTable1DAbscissaUmax(tableID);
   protected
-    parameter ExternalCombiTable1D tableID = ExternalCombiTable1D(tableName = if fromFile then "tab" else "NoName",
-      fileName = "NoName", table = table, columns = {2, 3}, smoothness = smoothness, extrapolation = extrapolation);
+    parameter ExternalCombiTable1D tableID = ExternalCombiTable1D(tableName = if file == "NoName" then "NoName" else "tab",
+      fileName = file, table = table, columns = {2, 3}, smoothness = smoothness, extrapolation = extrapolation);
   equation
     for i in 1:2 loop
       y[i] = Modelica.Blocks.Tables.Internal.getTable1DValue(tableID, i, u);
@@ -42,7 +42,9 @@ package Standard "Models between Drives and the Standard Library's interfaces"
 
   model Held = Table(extrapolation = Modelica.Blocks.Types.Extrapolation.HoldLastPoint);
   model Steps = Table(smoothness = Modelica.Blocks.Types.Smoothness.ConstantSegments);
-  model Akima = Table(smoothness = Modelica.Blocks.Types.Smoothness.ContinuousDerivative);
+  model Akima = Table(smoothness = Modelica.Blocks.Types.Smoothness.ContinuousDerivative,
+    table = [0, 0, 1; 1, 0, 3; 3, 0, 4; 4, 0, 4; 6, 0, -2; 7, 0, 0]);
   model Periodic = Table(extrapolation = Modelica.Blocks.Types.Extrapolation.Periodic);
-  model FromFile = Table(fromFile = true);
+  model FromFile = Table(file = Modelica.Utilities.Files.loadResource("modelica://Standard/table.txt"));
+  model NoFile = Table(file = Modelica.Utilities.Files.loadResource("modelica://Standard/none.txt"));
 end Standard;

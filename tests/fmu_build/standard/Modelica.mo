@@ -9,6 +9,16 @@ package Modelica "Stand-in: the names and shapes that models of drives use of th
     end SI;
   end Units;
 
+  package Utilities
+    package Files
+      impure function loadResource
+        input String uri;
+        output String fileReference;
+      external "C" fileReference = ModelicaInternal_fullPathName(uri);
+      end loadResource;
+    end Files;
+  end Utilities;
+
   package Blocks
     package Types
       type Smoothness = enumeration(LinearSegments, ContinuousDerivative, ConstantSegments);
