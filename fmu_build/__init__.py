@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from fmu_build.flat_model import FlatModel
     from fmu_build.model import CompiledModel
 
-__all__ = ["build", "compile_flat", "compile_modelica", "load"]
+__all__ = ["build", "check_flat", "compile_flat", "compile_modelica", "load"]
 
 
 def compile_flat(flat: FlatModel) -> CompiledModel:
@@ -21,6 +21,14 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     from fmu_build.compiler import compile_flat as compile_
 
     return compile_(flat)
+
+
+def check_flat(flat: FlatModel) -> None:
+    """Raise the errors of a flat model's equations; see `fmu_build.compiler.check_flat`."""
+    check_tools()
+    from fmu_build.compiler import check_flat as check
+
+    check(flat)
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:

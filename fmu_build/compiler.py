@@ -47,8 +47,21 @@ def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) ->
     return compile_flat(load(Path(file), class_name, roots))
 
 
+_Reduced = tuple[System, Equations, events.Events, start.InitialConditions, list[SX]]
+"""Sorted equations, all equations, events, initial conditions, and symbols of the states' start values."""
+
+
 def compile_flat(flat: FlatModel) -> CompiledModel:
     """Translate a flattened class (see `compile_modelica`)."""
+    return _generate(*_reduced(flat))
+
+
+def check_flat(flat: FlatModel) -> None:
+    """Raise the errors that `compile_flat` finds in the equations of a class, without generating code."""
+    _reduced(flat)
+
+
+def _reduced(flat: FlatModel) -> _Reduced:
     structural: set[str] = set()
     promoted: set[str] = set()
     open_: set[str] = set()
@@ -84,7 +97,7 @@ def _deciding(scope: ModelScope, constants: set[str], value: SX) -> set[str]:
     return set(parameters) - constants if len(parameters) == len(declared) else set()
 
 
-def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
+def _translate(flat: FlatModel, scope: ModelScope) -> _Reduced:
     equations = collect(scope)
     for section in flat.algorithms:
         equations.add(scope, algorithms.run(scope, section, initial=False))
@@ -98,7 +111,7 @@ def _translate(flat: FlatModel, scope: ModelScope) -> CompiledModel:
     happenings = events.collect(system, equations, explicit)
     xs = [SX.sym(f"start({s.symbol.name()})") for s in system.reduced.states]
     conditions = start.initial_conditions(system, [*equations.initial, *system.reduced.invariants], xs)
-    return _generate(system, equations, happenings, conditions, xs)
+    return system, equations, happenings, conditions, xs
 
 
 def _check_discrete(scope: ModelScope, equations: Equations) -> None:

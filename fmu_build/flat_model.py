@@ -121,6 +121,11 @@ class Equation:
     origin: Origin
     at: Place
 
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The names in it."""
+        return frozenset(map(flat_name, references((self.left, self.right))))
+
 
 @dataclass(frozen=True)
 class Algorithm:
@@ -287,11 +292,6 @@ class FlatModel:
         for v in self.variables.values():
             if v.binding is not None and v.variability == "continuous":
                 yield v.name, v.binding
-
-    @cached_property
-    def names(self) -> tuple[frozenset[str], ...]:
-        """Names in each equation."""
-        return tuple(frozenset(map(flat_name, references((e.left, e.right)))) for e in self.equations)
 
     @cached_property
     def computed(self) -> Mapping[str, frozenset[str]]:

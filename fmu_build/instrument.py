@@ -311,11 +311,11 @@ def _with_coefficient(flat: FlatModel, name: str, terms: Sequence[Term]) -> Flat
 
     Parameters that are computed from it follow.
     """
-    known = {c.name for c in coefficients(flat)}
     parameter, _, determined = name.partition(":")
-    if name not in known:
+    if all(c.name != name for c in coefficients(flat, parameter)):
         what = f"'{name}' is not a parameter that acts in the model's equations"
-        raise ModelicaError(what, where=terms[0].where, fix=suggestion(name, known))
+        fix = suggestion(name, {c.name for c in coefficients(flat)})
+        raise ModelicaError(what, where=terms[0].where, fix=fix)
     value: Expression = variable(parameter)
     varied_name = f"{name.replace(':', '.')}.{VALUE}"
     while varied_name in flat.variables:  # of an earlier diagnosis

@@ -157,16 +157,16 @@ def parameter_port(name: str, over: str, unit: str) -> Port:
     return Port(name, "parameter", "parameter", (), (over, unit), {})
 
 
-def coefficients(flat: FlatModel) -> tuple[Coefficient, ...]:
-    """Return the real scalar parameters that act in equations and may be replaced by a variable there."""
-    inside = [(e.origin.component, names) for e, names in zip(flat.equations, flat.names, strict=True)]
+def coefficients(flat: FlatModel, parameter: str | None = None) -> tuple[Coefficient, ...]:
+    """Return the real scalar parameters, or only one, that act in equations and may be replaced by a variable."""
+    inside = [(e.origin.component, e.names) for e in flat.equations]
     inside += [
         (flat.variables[n].component, frozenset({n, *map(flat_name, references(binding))}))
         for n, binding in flat.bindings()
     ]
     coefficients = []
     for v in held_parameters(flat):
-        if v.at == ADDED:  # of an effect
+        if v.at == ADDED or parameter not in (None, v.name):  # of an effect, or another one
             continue
         names = {v.name, *followers(flat, v.name)}
         if any(flat.variables[n].shape or n in flat.structural or flat.variables[n].evaluate for n in names):
@@ -190,7 +190,7 @@ def equations_with(flat: FlatModel, parameter: str) -> dict[str, int]:
     names = {parameter, *followers(flat, parameter)}
     places: dict[str, list[int]] = {}
     for i, e in enumerate(flat.equations):
-        if e.origin.kind == "class" and names & flat.names[i]:
+        if e.origin.kind == "class" and names & e.names:
             rates = [name for name in map(differentiated, walk((e.left, e.right))) if name is not None]
             sides = [flat_name(side) for side in (e.left, e.right) if isinstance(side, Reference)]
             for name in (*rates, *sides)[:1]:

@@ -1084,7 +1084,7 @@ end Coils;
 """
 
 
-def test_what_a_model_cannot_be_built_with_is_left_out_and_said(cache, tmp_path):
+def test_what_a_model_cannot_be_built_with_is_left_out_and_said(cache, tmp_path, monkeypatch):
     del cache
     file = tmp_path / "Coils.mo"
     file.write_text(SPACED)
@@ -1097,6 +1097,10 @@ def test_what_a_model_cannot_be_built_with_is_left_out_and_said(cache, tmp_path)
     assert "load.leakage" in variables
     assert "between.leakage" not in variables
     assert "first.n.added_flow" not in variables
+    with monkeypatch.context() as patch:
+        for name in ("diagnosis.variants.check_flat", "simulation.model_source.compile_flat"):
+            patch.setattr(f"fmuid.{name}", lambda flat: pytest.fail("translated although what fits is known"))
+        assert carrier(source, catalogue) == model.fmu
     [(why, left)] = left_out([model], catalogue, variables.keys()).items()
     assert left == ["leakage@between"]
     assert why == "singular: the equations do not determine between.p.i, first.n.v"

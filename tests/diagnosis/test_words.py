@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from fmuid.diagnosis.summary import _lowered
+from fmuid.diagnosis.varying import Course
 from fmuid.effects.laws import numeral
 from fmuid.effects.quantities import quantity_words, words_of
 
@@ -25,6 +27,14 @@ from fmuid.effects.quantities import quantity_words, words_of
 )
 def test_names_keep_their_capitals(effect: str, sentence: str, text: str) -> None:
     assert _lowered(sentence, effect) == text
+
+
+def test_a_course_that_turns_is_told_by_both_of_its_parts() -> None:
+    x = np.linspace(-2.0, 1.0, 4)
+    stiffness = Course("k", "N/m", "x", "m", x, 1.0 + x**2, None)
+    assert f"{stiffness}" == "k falls with x, from 5 to 1 N/m between -2 and 0 m, then grows to 2 N/m at 1 m"
+    rising = Course("k", "N/m", "x", "m", x, 5.0 + x, 0.2)
+    assert f"{rising}" == "k grows with x by 20 % per m, from 3 to 6 N/m between -2 and 1 m"
 
 
 def test_quantities_have_the_words_of_their_domain() -> None:

@@ -6,6 +6,7 @@ What a law adds to a state's derivative is in the derivative's unit: the size of
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_build import compile_flat
+from fmu_build import check_flat
 from fmu_build.cache import remove_unused, user_cache
 from fmu_build.domains import MECHANICAL, Domain
 from fmu_build.errors import InputDerivativeError, ModelicaError
@@ -26,12 +27,12 @@ from fmu_build.syntax import Part, Reference
 from fmu_build.unit_strings import parse_unit
 from fmuid.core.campaign import Campaign, ModelSource, ModelSpec
 from fmuid.core.errors import CampaignError, FmuError, SimulationError
-from fmuid.core.files import make_folder
+from fmuid.core.files import make_folder, write_atomically
 from fmuid.core.immutable import FloatArray
 from fmuid.effects.effect import Catalogue, Effect
 from fmuid.simulation.fmu import Fmu, load_fmu
 from fmuid.simulation.fmu_with_laws import CoefficientLaw, StateLaw, carrier_version, write_fmu_with_laws
-from fmuid.simulation.model_source import built_with_terms, effects_inside, flat_model
+from fmuid.simulation.model_source import built_with_terms, effects_inside, fitting_with_terms, flat_model
 from fmuid.simulation.simulator import Simulator
 
 
@@ -69,7 +70,7 @@ def built_with(model: ModelSpec, catalogue: Catalogue) -> Path:
     return _built(model.source, flat_model(model.source), catalogue, catalogue.effects)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Addition:
     """What an effect or a port adds to a model: terms, and the parameters or the input that they use."""
 
@@ -104,17 +105,26 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
 
 
 def _with_what_fits(source: ModelSource, flat: FlatModel, additions: Sequence[_Addition]) -> Path:
-    """Build a model with those of the additions with which it compiles; a wrong term is an error."""
+    """Build a model with those of the additions with which it compiles; a wrong term is an error.
+
+    Which ones these are is kept in the cache.
+    """
+    known = fitting_with_terms(source, flat, *_together(additions))
+    if known.is_file():
+        return _with_what_fits(source, flat, [additions[k] for k in json.loads(known.read_text())])
     try:
         return built_with_terms(source, flat, *_together(additions))
     except ModelicaError as error:
         fitting = _without_input(additions, error)
+        if len(fitting) == len(additions):  # nearly all that do not fit do not fit alone, which takes less to find
+            fitting = [one for one in additions if not one.terms or _fitting(flat, [one])]
         if len(fitting) == len(additions):
             acting = sorted((one for one in additions if one.terms), key=lambda one: one.terms[0].where)  # by law
-            kept = {id(one) for one in _fitting(flat, acting)}
-            fitting = [one for one in additions if not one.terms or id(one) in kept]
+            kept = _fitting(flat, acting)
+            fitting = [one for one in additions if not one.terms or one in kept]
         if len(fitting) == len(additions) or not any(one.terms for one in fitting):
             raise
+    write_atomically(known, json.dumps([k for k, one in enumerate(additions) if one in fitting]))
     return _with_what_fits(source, flat, fitting)
 
 
@@ -130,7 +140,7 @@ def _without_input(additions: Sequence[_Addition], error: ModelicaError) -> list
 
 
 def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_Addition] = ()) -> list[_Addition]:
-    """Return those of `additions` with which the model can be compiled, together with those `before` them.
+    """Return those of `additions` with which the model can be translated, together with those `before` them.
 
     Raises
     ------
@@ -138,7 +148,7 @@ def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_
         A term is wrong by itself: it names what does not exist, or is not Modelica.
     """
     try:
-        compile_flat(instrument(flat, *_together((*before, *additions))))
+        check_flat(instrument(flat, *_together((*before, *additions))))
     except ModelicaError as error:
         fewer = _without_input(additions, error)
         if len(fewer) < len(additions):
@@ -170,7 +180,7 @@ def _why_not(effect: Effect, models: Iterable[FlatModel]) -> str:
     """Return the messages of compiling flat models with an effect alone."""
     for flat in models:
         try:
-            compile_flat(instrument(flat, effect.terms, effect.added(flat.variables)))
+            check_flat(instrument(flat, effect.terms, effect.added(flat.variables)))
         except ModelicaError as error:
             return error.what
     return "it does not go together with other effects"

@@ -669,15 +669,24 @@ class Course:
     def __str__(self) -> str:
         """Return it in words and numbers."""
         ends = self.y[0], self.y[-1]
-        moves = "grows" if ends[1] > ends[0] else "falls"
+        beyond = np.maximum(self.y - max(ends), min(ends) - self.y)
+        turn = int(np.argmax(beyond)) if beyond.max() > _STRAIGHT * np.ptp(self.y) else len(self.y) - 1
         over = {TIME: "over time", _OF_RUN: "in the course of a run"}.get(self.over, f"with {self.over}")
         unit = "" if self.over_unit == "1" else f" {self.over_unit}"
         of_unit = "" if self.unit == "1" else f" {self.unit}"
         rate = "" if self.slope is None else f" by {100.0 * abs(self.slope):.3g} % per{unit or ' unit'}"
-        return (
-            f"{self.name} {moves} {over}{rate}, from {ends[0]:.3g} to {ends[1]:.3g}{of_unit} "
-            f"between {self.x[0]:.3g} and {self.x[-1]:.3g}{unit}"
+        there = self.y[turn]
+        text = (
+            f"{self.name} {_moves(ends[0], there)} {over}{rate}, from {ends[0]:.3g} to {there:.3g}{of_unit} "
+            f"between {self.x[0]:.3g} and {self.x[turn]:.3g}{unit}"
         )
+        if turn == len(self.y) - 1:
+            return text
+        return f"{text}, then {_moves(there, ends[1])} to {ends[1]:.3g}{of_unit} at {self.x[-1]:.3g}{unit}"
+
+
+def _moves(before: float, after: float) -> str:
+    return "grows" if after > before else "falls"
 
 
 def source_of(

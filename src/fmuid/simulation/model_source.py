@@ -91,16 +91,27 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
         There is no C compiler, or it fails.
     """
     names = [*added]
-    target = _folder(source) / f"{_stem(source)}-{_digest(source, flat, terms, names)[:12]}.fmu"
+    target = _with_terms(source, flat, terms, names)
     if target.is_file():
         with suppress(OSError):  # a cache that may only be read
             os.utime(target)
         return target
-    remove_unused(_models(), "*/*-*.fmu")  # an edited model has others
+    remove_unused(_models(), "*/*-*")  # an edited model has others
     from fmu_build.packaging import package  # needs CasADi
 
     model = compile_flat(instrument(flat, terms, names))
     return package(replace(model, name=_stem(source)), target)
+
+
+def fitting_with_terms(
+    source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added]
+) -> Path:
+    """Return the file in the cache for the terms that fit, if the class cannot be built with all of them."""
+    return _with_terms(source, flat, terms, added).with_suffix(".json")
+
+
+def _with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added]) -> Path:
+    return _folder(source) / f"{_stem(source)}-{_digest(source, flat, terms, added)[:12]}.fmu"
 
 
 def _digest(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added]) -> str:
