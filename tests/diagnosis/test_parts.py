@@ -21,7 +21,7 @@ from fmuid.diagnosis.free_functions import (
     trajectories,
 )
 from fmuid.diagnosis.observed import Observed, project_off
-from fmuid.diagnosis.refit import refit
+from fmuid.diagnosis.refit import descend, refit
 from fmuid.diagnosis.scores import alias_classes, nominal_basis, score_effects, stack, without_aliases
 from fmuid.effects.effect import Effect, Regime, Unknown
 from fmuid.simulation.runners import in_process
@@ -281,6 +281,16 @@ def test_a_refit_ends_where_what_it_gains_would_not_make_it_of_use():
     ended = refit(predict, observed, unknowns, tolerance=1e-9, most=-1e6 * fit.cost - 1e6)
     assert ended.evaluations < fit.evaluations
     assert not ended.converged
+
+    def searched(most):
+        calls = []
+        counted = lambda points, near=None: calls.extend(points) or predict(points)  # noqa: E731
+        end = descend(counted, observed, unknowns, {}, tangents=lambda p, n: {}, max_iterations=6, most=most)
+        return end, len(calls)
+
+    end, simulated = searched(np.inf)
+    assert searched(end[0]) == (end, simulated)
+    assert searched(-1e6 * fit.cost - 1e6)[1] < simulated
 
 
 def test_a_refit_begins_whatever_its_rival_since_slopes_promise_too_little_where_they_bend():

@@ -215,9 +215,10 @@ def test_effects_are_refitted_with_care_that_gain_half_as_much_as_the_best_or_fr
     subject = heard(laws, {1: 1.0, 2: 1.0})
     nominal = fit_effects(subject, (), [{}])
     scores = sorted(score_further(subject, nominal), key=lambda s: s.effect)
-    begun = {}
+    begun, limits = {}, {}
 
-    def approached(subject, fit, score):
+    def approached(subject, fit, score, most):
+        limits[score.effect] = most / fit.cost
         return fit.cost * gains.get(score.effect, 1.1), {**fit.values, score.effect: 0.7}
 
     def added(subject, fitted, score, starts, rival):
@@ -228,6 +229,12 @@ def test_effects_are_refitted_with_care_that_gain_half_as_much_as_the_best_or_fr
     monkeypatch.setattr("fmuid.diagnosis.effect_search.add_effect", added)
     _added(subject, nominal, scores, ["law6"])
     assert begun == values
+    # A search with a law that is refitted whatever it gains goes on to its end, others only if they may gain enough.
+    least = [min(gains.get(f"law{n}", 1.1) for n in range(1, k)) if k > 1 else 1.0 for k in range(1, 6)]
+    assert [limits[f"law{k}"] for k in range(1, 6)] == pytest.approx(
+        [0.5 * (1.0 + cost) if cost < 0.95 else np.inf for cost in least]
+    )
+    assert limits["law6"] == np.inf
 
 
 @pytest.mark.parametrize(
@@ -240,7 +247,7 @@ def test_a_quick_search_begins_twice_only_if_both_starts_promise_something(monke
     costs, begun = iter(promised), []
     best_start = lambda subject, points, basis: (points[0], next(costs) * nominal.fit.cost)  # noqa: E731
     monkeypatch.setattr(candidates, "_best_start", best_start)
-    monkeypatch.setattr(candidates, "approach", lambda subject, unknowns, starts: begun.extend(starts))
+    monkeypatch.setattr(candidates, "approach", lambda subject, unknowns, starts, most: begun.extend(starts))
     approach_effect(subject, nominal.fit, score)
     assert len(begun) == searches
 

@@ -183,14 +183,20 @@ def _beginning(case: Case, share: float) -> Case:
 
 
 def _ends(
-    part: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]]
+    part: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]], most: float = np.inf
 ) -> Iterator[tuple[float, Mapping[str, float]]]:
     """Yield the cost and the values where searches from the `starts` end, without those that cannot begin."""
     model = part.model
     for start in starts:
         with suppress(SimulationError):
             yield descend(
-                model.predict, part.observed, unknowns, start, tangents=model.tangents, max_iterations=_ITERATIONS
+                model.predict,
+                part.observed,
+                unknowns,
+                start,
+                tangents=model.tangents,
+                max_iterations=_ITERATIONS,
+                most=most,
             )
 
 
@@ -429,10 +435,12 @@ def add_effect(
     return added
 
 
-def approach_effect(subject: Subject, fit: Refit, score: Score) -> tuple[float, Mapping[str, float]] | None:
+def approach_effect(
+    subject: Subject, fit: Refit, score: Score, most: float = np.inf
+) -> tuple[float, Mapping[str, float]] | None:
     """Return where a quick search with the scored effect added to a refit ends; see `approach`."""
     unknowns = (*fit.unknowns, *subject.by_id[score.effect].unknowns)
-    return approach(subject, unknowns, _starts(subject, fit, score))
+    return approach(subject, unknowns, _starts(subject, fit, score), most)
 
 
 def costs_with(subject: Subject, fit: Refit) -> dict[str, float]:
@@ -443,10 +451,13 @@ def costs_with(subject: Subject, fit: Refit) -> dict[str, float]:
 
 
 def approach(
-    subject: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]]
+    subject: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]], most: float = np.inf
 ) -> tuple[float, Mapping[str, float]] | None:
-    """Return the cost and the values where the best of quick searches ends; None if none can begin."""
-    return min(_ends(subject, unknowns, starts), key=lambda end: end[0], default=None)
+    """Return the cost and the values where the best of quick searches ends; None if none can begin.
+
+    Those that would end above the cost `most` need not end (see `refit`).
+    """
+    return min(_ends(subject, unknowns, starts, most), key=lambda end: end[0], default=None)
 
 
 def promising(ends: Iterable[_End], before: float = np.inf) -> list[_End]:
@@ -457,8 +468,13 @@ def promising(ends: Iterable[_End], before: float = np.inf) -> list[_End]:
     """
     ordered = sorted(ends, key=lambda end: end[0])
     least = ordered[0][0] if ordered else before
-    most = before - _AS_MUCH * (before - least) if about(least) < before else np.inf
+    most = worth_care(least, before)
     return [e for k, e in enumerate(ordered) if e[0] <= about(least) or (k < _CAREFUL and e[0] <= most)]
+
+
+def worth_care(least: float, before: float) -> float:
+    """Return the cost above which no careful search continues a quick one, if another one ended at the `least`."""
+    return max(before - _AS_MUCH * (before - least), about(least)) if about(least) < before else np.inf
 
 
 def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, float]]:

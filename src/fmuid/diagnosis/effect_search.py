@@ -24,6 +24,7 @@ from fmuid.diagnosis.candidates import (
     score_early,
     score_further,
     without,
+    worth_care,
 )
 from fmuid.diagnosis.cross_validation import NoiseDraws
 from fmuid.diagnosis.observed import excess, project_off
@@ -169,8 +170,8 @@ def _elsewhere(subject: Subject, fitted: Fitted, before: _Elsewhere | None = Non
 def _chosen(elsewhere: _Elsewhere, whole: Sequence[Score], most: int, first: int) -> tuple[list[Score], list[str]]:
     """Return the effects to add: those that promise most early, at the start values, and at the estimate.
 
-    The `first` effects of each are in addition to those at the estimate, and the early ones are also returned by
-    name.
+    The `first` effects of each are in addition to those at the estimate, which are tried first: they are known to
+    gain. The early ones are also returned by name.
     """
     early, begin = (
         {s.effect: s for s in _promising(scores) if s.drop > SEEN**2}
@@ -179,7 +180,8 @@ def _chosen(elsewhere: _Elsewhere, whole: Sequence[Score], most: int, first: int
     by_name = {**begin, **early, **{s.effect: s for s in whole}}
     names = list(early)[:first]
     order = dict.fromkeys([*names, *list(begin)[:first], *(s.effect for s in whole)])
-    return [by_name[name] for name in order][: most + first], names
+    chosen, at_estimate = [by_name[name] for name in order][: most + first], {s.effect for s in whole}
+    return sorted(chosen, key=lambda s: s.effect not in at_estimate), names
 
 
 def _signatures(
@@ -319,10 +321,12 @@ def _added(
     `early` effects, which may be far from their best, escape from local minima. An early effect whose quick search
     gains less than its uncertainty promises no more than others do.
     """
-    approached = []
+    approached: list[tuple[float, Mapping[str, float], Score]] = []
     for k, score in enumerate(scores):
         say(f"trying {score.effect}", 0.4 * k / len(scores))
-        if (end := approach_effect(subject, fitted.fit, score)) is not None:
+        least = min((cost for cost, *_ in approached), default=np.inf)
+        most = np.inf if score.effect in early else worth_care(least, fitted.fit.cost)
+        if (end := approach_effect(subject, fitted.fit, score, most)) is not None:
             approached.append((*end, score))
     best = promising(approached, fitted.fit.cost)
     gaining = [one for one in approached if one[2].effect in early and about(one[0]) < fitted.fit.cost]

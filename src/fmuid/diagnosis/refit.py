@@ -172,6 +172,7 @@ def descend(
     *,
     tangents: Tangents,
     max_iterations: int,
+    most: float = np.inf,
 ) -> tuple[float, dict[str, float]]:
     """Return the cost and the values that local slopes lead to from a start: a quick `refit`, without its care.
 
@@ -181,7 +182,7 @@ def descend(
         The start cannot be simulated.
     """
     campaign = _Campaign(predict, observed, tuple(unknowns), tangents)
-    cost, x, _ = _search(campaign, campaign.point(start), max_iterations, _COARSE)
+    cost, x, _ = _search(campaign, campaign.point(start), max_iterations, _COARSE, most=most)
     return cost, campaign.values(x)
 
 
