@@ -252,6 +252,12 @@ def test_a_quick_search_begins_twice_only_if_both_starts_promise_something(monke
     assert len(begun) == searches
 
 
+@pytest.mark.parametrize(("unknown", "classes"), [(0.0, ()), (5.0, (("first", "second"),))])
+def test_what_no_model_explains_hides_small_differences_of_effects(unknown, classes):
+    laws = {"first": {1: 1.0}, "second": {1: 1.0, 2: 0.05}}
+    assert diagnose_subject(heard(laws, {1: 1.0, 5: unknown})).diagnosis.alias_classes == classes
+
+
 def test_a_gap_that_shows_in_no_effect_is_unknown_without_a_port():
     answer = diagnose_subject(heard({"first": {1: 1.0}, "second": {2: 1.0}}, {5: 0.3})).diagnosis
     assert answer.gap.present

@@ -128,11 +128,13 @@ def aliases(
     """Return the classes of effects that could not be distinguished if one of them caused the gap.
 
     When they explain a gap of this size, or one that would just be `seen` (as a drop of the cost), their
-    predictions differ by fewer standard deviations than a preference requires. The comparison uses the signatures
-    of refitted effects if available, otherwise those of trials.
+    predictions differ by fewer standard deviations than a preference requires. What the best of all models leaves
+    counts as noise, as it does in odds. The comparison uses the signatures of refitted effects if available,
+    otherwise those of trials.
     """
     base = stack(nominal.fit.residuals, subject.observed)
-    energy = max(float(base @ base) - base.size, seen)
+    left = float(np.mean(subject.observed.repeats)) * min(c.gap for c in (nominal, *candidates)) ** 2
+    energy = max((float(base @ base) - base.size) / decide.spread(left) ** 2, seen)
     tried, refitted = _signatures(subject, nominal, candidates, scores)
     for score in scores:  # indistinguishable effects were scored once
         tried |= {
