@@ -32,16 +32,19 @@ int partials_along(Instance *me, double t, const double *x, const double *u, Dir
     return CALL(loop_partials);
 }
 
+static inline int moving(const double *du) {
+    int ramp = 0;
+    for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
+    return ramp;
+}
+
 /* Adds what slopes of the inputs do to the derivatives by t, where `linearise` was called last. */
 int with_slopes_of_inputs(Instance *me, double t, const double *x) {
-    double du[LENGTH(NU)];
-    int ramp = 0;
-    memcpy(du, me->s.step.du, sizeof du);
-    if (NDELAY > 0) delayed_at(me, t, me->ut, du);
-    for (int i = 0; i < NU; i++) ramp |= du[i] != 0.0;
-    if (!ramp) return 0;
+    if (NDELAY == 0 && !moving(me->s.step.du)) return 0;
     DIRECTION(s);
-    memcpy(s.u, du, BYTES(NU));
+    memcpy(s.u, me->s.step.du, BYTES(NU));
+    if (NDELAY > 0) delayed_at(me, t, me->ut, s.u);
+    if (!moving(s.u)) return 0;
     if (partials_along(me, t, x, me->ut, &s)) return 1;
     for (int i = 0; i < NX; i++) me->by_time[i] += s.dx[i];
     for (int i = 0; i < NY; i++) me->by_time[NX + i] += s.y[i];

@@ -238,6 +238,7 @@ static inline double larger(double a, double b) { return a > b || isnan(b) ? a :
 
 /* stages.c */
 double tolerance_of(const State *s, int i, double x);
+void begin_step(Step *step);
 double try_step(Instance *me, double t, double h);
 const char *culprit(const Instance *me);
 

@@ -58,10 +58,7 @@ Status integrate_step(Instance *me, double target, int exact) {
     Status status = advance_sensitivities(me, t, 0);
     if (NPAST > 0 && status <= STATUS_WARNING) status = remember(me, t);
     if (status > STATUS_WARNING) return status;
-    memcpy(step->x0, step->x1, BYTES(NX));
-    step->t0 = t;
-    step->h = 0.0;
-    for (int i = 0; i < NX; i++) step->size[i] = larger(step->size[i], fabs(step->x0[i]));
+    begin_step(step);
 
     const double room = limit - t;
     if (room <= 0.0 && s->next_event <= t) { /* a time event that is due now */

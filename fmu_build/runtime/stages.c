@@ -52,6 +52,16 @@ double tolerance_of(const State *s, int i, double x) {
     return s->tolerance * larger(scale, fabs(x));
 }
 
+/* The next step begins where the last one ends. */
+void begin_step(Step *step) {
+    step->t0 = step->t1;
+    step->h = 0.0;
+    for (int i = 0; i < NX; i++) {
+        step->x0[i] = step->x1[i];
+        step->size[i] = larger(step->size[i], fabs(step->x0[i]));
+    }
+}
+
 /* Estimate of the local error of x[i] in the last attempt. */
 static inline double estimate(const Step *step, int i) {
     double other = 0.0;

@@ -433,7 +433,7 @@ class Fmu(Simulator):
                 self._slots[n].size == 1 for n in task.outputs
             )
             f, y, rows = np.zeros((k, n)), np.zeros((k, q)), np.zeros((k, n, n + q))
-            self.engage(prepared, np.inf)
+            self.engage(prepared, stepper.Patience(), k)
             arrays = (times, x, inputs, steps, references, f, y, rows, np.zeros(3 * n + 2 * q + 1))
             used = [a.ctypes.data for a in arrays]
             used[4] = used[4] if offered else None
@@ -445,10 +445,10 @@ class Fmu(Simulator):
                 raise error
             return f, y, rows.transpose(0, 2, 1)
 
-    def engage(self, prepared: PreparedTask, patience: float) -> None:
+    def engage(self, prepared: PreparedTask, patience: stepper.Patience, n_times: int) -> None:
         """Give the plan an instance to run on, a new one if a reset is not equivalent; see `discard`.
 
-        No communication step of it may take longer than `patience`, in s, if the FMU can look at the clock.
+        No communication step may take longer than a run over `n_times` points, if the FMU can look at the clock.
         """
         library = self._load()
         if self._used and self._renewal == "instantiate":
@@ -469,7 +469,7 @@ class Fmu(Simulator):
                     fix="simulate it in worker processes (`fmuid.WorkerPool`), which are restarted for it",
                 ) from None
             self._used, self._instantiated = False, True
-        library.limit(self._instance, patience)
+        library.limit(self._instance, patience, n_times)
         prepared.plan.instance = self._instance
         prepared.plan.reset = int(self._used)
         self._used = True
@@ -478,7 +478,7 @@ class Fmu(Simulator):
         plan = prepared.plan
         predictions = prepared.outputs(n_times)
         n_points = predictions.shape[-1]
-        self.engage(prepared, self._patience.of_run(n_points))
+        self.engage(prepared, self._patience, n_points)
         shares = prepared.task.shared is not None and self.saves_state
         key = self._branches.begin(prepared, predictions) if shares else None
         fatal = False

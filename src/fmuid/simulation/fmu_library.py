@@ -241,10 +241,10 @@ class FmuLibrary:
         function = CFUNCTYPE(c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)(address)
         return int(function(instance, moved, n, weights, 1)) <= 1
 
-    def limit(self, instance: int, seconds: float) -> None:
-        """Let a communication step take at most so much processor time, if the FMU can look at the clock."""
+    def limit(self, instance: int, patience: stepper.Patience, n_times: int) -> None:
+        """Let a communication step take at most a run's processor time, if the FMU can look at the clock."""
         if self._set_patience is not None:
-            self._set_patience(instance, seconds)
+            self._set_patience(instance, patience.of_run(n_times))
 
     def free(self, instance: int) -> None:
         """Free an instance."""

@@ -439,7 +439,7 @@ class CoupledModel(Simulator):
         try:
             for (name, fmu), plan in zip(self.components.items(), prepared, strict=True):
                 try:
-                    fmu.engage(plan, self._patience.of_run(predictions.shape[-1]))
+                    fmu.engage(plan, self._patience, predictions.shape[-1])
                 except (FmuError, ProcessSpentError) as refusal:
                     raise self._located(refusal, name) from None
             outcome = Outcome(self._patience.run_to_end(_master(), system, predictions.shape[-1]))
