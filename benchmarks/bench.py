@@ -26,7 +26,7 @@ FIGURE = "figures/benchmarks-scaling.png"
 PAGE = """# Benchmarks
 
 How fast fmuid simulates, builds FMUs and identifies, compared with hand-written C and other tools on one machine.
-`make bench` measures everything in one go and writes this page.
+`make bench` measures everything and writes this page.
 Made {date} in {minutes:.0f} minutes{quick}.
 
 Machine: {machine}.
@@ -40,7 +40,7 @@ tools side by side, workers and imports it is wall time. Peers run in environmen
 
 One simulation of a light FMU (FMI 2.0 co-simulation, two outputs) by `fmuid`, by a C loop written by hand for this
 FMU, and by `fmpy.simulate_fmu` with folder, description and instance reused. Aims: at most 1.3 times the C loop,
-at least 20 times FMPy's speed. A call from Python costs some 5 µs whatever it does, a fifth of the shortest run.
+at least 20 times FMPy's speed. A call from Python costs some 5 µs whatever it does.
 
 {stepping}
 

@@ -131,7 +131,7 @@ class PreparedTask:
         self.plan.n_times = n = len(self.task.time) if n_times is None else n_times
         array = np.empty((self._n_rows, n))
         if array.size:
-            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array))  # the fastest way
+            self.plan.outputs = ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # the fastest way
         return array
 
     def _slot(self, name: str) -> Slot:
