@@ -27,7 +27,7 @@ from fmuid.diagnosis.calibration import Calibration, Trial
 from fmuid.diagnosis.candidates import Fitted, estimates, refit_only
 from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_corrected
 from fmuid.diagnosis.cross_validation import share_closed
-from fmuid.diagnosis.decide import GAIN_OF_A_SECOND, odds_of_starts, tolerances
+from fmuid.diagnosis.decide import GAIN_OF_A_SECOND, odds_of_starts, starts_matter, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject, where_left
 from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
@@ -106,17 +106,18 @@ def with_starts_of_runs(
 ) -> tuple[Campaign, str] | None:
     """Return the campaign with start states that are estimated for each run, and a note.
 
-    None unless these explain as much of the gap as a second effect has to, and are likelier than the best
-    explanation; a firm verdict stays. A log that begins in motion may start at the model's outputs and depart from
-    them in what follows, unless every state is measured.
+    None unless these explain as much of the gap as a second effect has to, together with the best explanation or,
+    if they are likelier than it, in its place. A firm verdict stays if it leaves nothing. A log that begins in
+    motion may start at the model's outputs and depart from them in what follows, unless every state is measured.
     """
     verdict, explained = outcome.diagnosis.verdict, outcome.corrected
-    firm = verdict.kind == "complete" or (verdict.kind == "effect" and not verdict.provisional)
+    firm = verdict.kind == "effect" and not verdict.provisional
+    settled = verdict.kind == "complete" or (firm and verdict.rest is None)
     stages = {
         name: stage if stage.segments is not None or stage.observer else replace(stage, segments=math.inf)
         for name, stage in campaign.stages.items()
     }
-    if firm or not outcome.diagnosis.gap.present or outcome.subject.observed.nuisances or not stages:
+    if settled or not outcome.diagnosis.gap.present or outcome.subject.observed.nuisances or not stages:
         return None
     if not all(channel.plain for case in outcome.subject.model.cases for channel in case.channels):
         return None  # sensors with a model of their own follow no segment
@@ -125,15 +126,21 @@ def with_starts_of_runs(
     observed = with_states(subject.observed, subject.model, outcome.nominal.fit.values)
     if not observed.nuisances or _begin_as_modelled(outcome, subject):
         return None  # a model that cannot be restarted, or has no reason to
-    fit = refit_only(replace(subject, observed=observed), (), [outcome.nominal.fit.values])
-    if fit is None or odds_of_starts(fit, outcome.nominal, explained, observed) <= 0.0:
+    for base in (explained,) if firm else (outcome.nominal, explained):
+        with_base = [subject.by_id[id] for id in base.effects]
+        fit = refit_only(replace(subject, observed=observed), with_base, [base.fit.values])
+        if fit is None or not starts_matter(fit, base, observed):
+            continue
+        left = gap(fit.residuals, observed)
+        likely = base is explained or odds_of_starts(fit, base, explained, observed) > 0.0
+        if likely and share_closed(base.gap, left) >= GAIN_OF_A_SECOND:
+            break
+    else:
         return None
-    left = gap(fit.residuals, observed)
-    if share_closed(outcome.nominal.gap, left) < GAIN_OF_A_SECOND:
-        return None
+    together = f" with {' and '.join(base.effects)}" if base.effects else ""
     note = (
         f"The runs start elsewhere than the model: estimated start states of each run leave {left:.3g} of"
-        f' {outcome.nominal.gap:.3g} noise floors, so they were used; write segments = "run" in the'
+        f' {base.gap:.3g} noise floors{together}, so they were used; write segments = "run" in the'
         " stages of campaign.toml"
     )
     return freed, note

@@ -105,6 +105,20 @@ def test_start_states_of_every_run_are_paid_for():
         assert decide.odds_of_starts(started, nominal, explained, observed) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("cost", "left", "matter"),
+    [(116.9, 0.0, True), (116.7, 0.0, False), (116.9, 0.5, False), (201.0, 0.5, True), (200.7, 0.5, False)],
+)
+def test_runs_contradict_start_states_beyond_what_chance_would_gain(cost, left, matter):
+    """Two runs with three start states each: 99 % of chi-squared with six degrees of freedom are below 16.81."""
+    taken = tuple(np.zeros((50, 3)) for _ in range(2))
+    band = tuple(np.ones(50, dtype=bool) for _ in range(2))
+    observed = SimpleNamespace(repeats=np.ones(2), nuisances=taken, in_band=band, taken=[np.zeros(50)] * 2)
+    rest = tuple(np.full(50, np.sqrt(1.0 + left**2)) for _ in range(2))
+    started = Refit((), {}, rest, (), 100.0, 0, True)
+    assert decide.starts_matter(started, fitted((), 2.0, cost=cost), observed) is matter
+
+
 def test_noise_that_is_a_bound_counts_as_large_as_what_is_left_where_models_differ():
     single = Recorded(np.array([1.0, 1.0]), bounded=True)
     a = fitted(("a",), 0.0, residuals=[[1.0, 0.0], [3.0]])

@@ -212,3 +212,14 @@ def test_laws_that_small_changes_do_not_tell_apart_are_refitted(tmp_path, change
 
     effects = tomllib.loads(made_catalogue(campaign(tmp_path, changed), load_simulator))["effects"]
     assert law in effects["varies@G(time)"]["expression"]
+
+
+def test_a_coefficient_may_vanish_at_an_end_of_its_range(tmp_path):
+    """Its law ends at a bound there, which is no sign of another cause."""
+
+    def sheltered(_value, wind, _time):
+        return 20.0 * max(0.0, 1.0 - wind / 7.5)
+
+    outcome = fmuid.diagnose(campaign(tmp_path, sheltered), law=False)
+    assert outcome.diagnosis.verdict.effects == ("varies@G(wind)",)
+    assert outcome.corrected.fit.values["G.varies.wind"] < -0.11

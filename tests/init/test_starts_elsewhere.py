@@ -43,13 +43,22 @@ def course(power, air, wall):
     return np.array(states)
 
 
-def logs(folder: Path, warm: float, repeats: int = 2, wall: float = 0.0, samples: int = 200) -> list[Path]:
-    """Logs of the room, which starts `warm` kelvin above the model or more, its wall by half of that and `wall`."""
+def logs(
+    folder: Path, warm: float, repeats: int = 2, wall: float = 0.0, samples: int = 200, late: int = 0
+) -> list[Path]:
+    """Logs of the room, which starts `warm` kelvin above the model or more, its wall by half of that and `wall`.
+
+    The heater follows its command `late` samples later.
+    """
     rng, paths, time = np.random.default_rng(2), [], 20.0 * np.arange(samples)
     (folder / "Room.mo").write_text(MODEL.replace("{start}", ", start=293, fixed=true"))
     for run in range(3):
         power = 300.0 * (np.sin((1 + run) * 2e-3 * time) > 0.0)
-        true = course(power, 293.0 + warm * (1.0 + run), 293.0 + 0.5 * warm + wall * (1.0 + run))
+        true = course(
+            np.concatenate([np.zeros(late), power[: samples - late]]),
+            293.0 + warm * (1.0 + run),
+            293.0 + 0.5 * warm + wall * (1.0 + run),
+        )
         for k in range(repeats):
             rows = np.column_stack([100.0 * k + time, power, true + 0.02 * rng.standard_normal(samples)])
             paths.append(folder / f"run{run}_{k}.csv")
@@ -84,6 +93,16 @@ def test_walls_that_were_warm_before_the_log_began_are_no_effect(tmp_path, wall)
     assert diagnosis.verdict.kind == "complete"
     assert any("start elsewhere than the model" in note for note in diagnosis.notes) is bool(wall)
     assert diagnosis.model["G"] == pytest.approx(24.0, rel=0.02)
+
+
+def test_walls_that_were_warm_do_not_hide_an_effect(tmp_path):
+    """Neither the late heater nor the warm walls explain the gap without the other."""
+    campaign = fmuid.start(
+        logs(tmp_path, 0.0, repeats=1, wall=3.0, late=9), model=tmp_path / "Room.mo", out=tmp_path / "room"
+    )
+    diagnosis = fmuid.diagnose(campaign, law=False).diagnosis
+    assert any("start elsewhere than the model" in note for note in diagnosis.notes)
+    assert diagnosis.verdict.effects == ("delay@P",)
 
 
 def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.special import chdtrc, stdtr
 
 from fmu_build.suggest import suggestion
 from fmuid.core.errors import CampaignError, SimulationError, UnitError
@@ -82,19 +82,26 @@ def log_evidence(nominal: Fitted, fitted: Fitted) -> float:
     return 0.5 * (nominal.fit.cost - fitted.fit.cost) - _price(fitted) + _price(nominal)
 
 
-def odds_of_starts(started: Refit, nominal: Fitted, explained: Fitted, observed: Observed) -> float:
-    """Return the logarithm of the odds of the nominal model `started` elsewhere in each run, against an effect.
+def starts_matter(started: Refit, base: Fitted, observed: Observed) -> bool:
+    """Return whether the runs contradict the start states of `base`: a likelihood-ratio test against `started`.
+
+    What is left counts as noise that is not white. `observed` has the states of each run as nuisances.
+    """
+    left = float(np.mean(observed.repeats)) * gap(started.residuals, observed) ** 2
+    states = sum(int(basis.shape[1]) for basis in observed.nuisances)
+    return float(chdtrc(states, max(0.0, base.fit.cost - started.cost) / spread(left) ** 2)) < SIGNIFICANCE
+
+
+def odds_of_starts(started: Refit, base: Fitted, explained: Fitted, observed: Observed) -> float:
+    """Return the logarithm of the odds of the model `base`, `started` elsewhere in each run, against another.
 
     As in `log_odds`; each start state of each run is a parameter. `observed` has these states as nuisances.
     """
     left = float(np.mean(observed.repeats)) * min(gap(started.residuals, observed), explained.gap) ** 2
     states = sum(int(basis.shape[1]) for basis in observed.nuisances)
-    price = 0.5 * float(states * np.log(nominal.held_out.size.sum()))
+    price = 0.5 * float(states * np.log(base.held_out.size.sum()))
     return (
-        (explained.fit.cost - started.cost) / (2.0 * spread(left) ** 2)
-        - price
-        + _price(explained)
-        - _price(nominal)
+        (explained.fit.cost - started.cost) / (2.0 * spread(left) ** 2) - price + _price(explained) - _price(base)
     )
 
 
