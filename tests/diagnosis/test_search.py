@@ -14,6 +14,7 @@ from fmuid.diagnosis.calibration import Calibration
 from fmuid.diagnosis.candidates import (
     _best_start,
     add_effect,
+    approach,
     approach_effect,
     better_nominal,
     escaped,
@@ -25,7 +26,7 @@ from fmuid.diagnosis.cross_validation import CHORDS, draw_noise
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.effect_search import _added, _moved, _pruned, search
 from fmuid.diagnosis.next_experiment import suggest
-from fmuid.diagnosis.refit import refit
+from fmuid.diagnosis.refit import about, refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
 
@@ -250,6 +251,18 @@ def test_a_quick_search_begins_twice_only_if_both_starts_promise_something(monke
     monkeypatch.setattr(candidates, "approach", lambda subject, unknowns, starts, most: begun.extend(starts))
     approach_effect(subject, nominal.fit, score)
     assert len(begun) == searches
+
+
+def test_a_quick_search_ends_where_it_would_not_end_about_as_well_as_one_before(monkeypatch):
+    subject, limits, costs = heard({}, {}), [], iter((10.0, 5.0, 7.0))
+
+    def descended(*_, most, **__):
+        limits.append(most)
+        return next(costs), {}
+
+    monkeypatch.setattr(candidates, "descend", descended)
+    assert approach(subject, subject.nominal, [{}] * 3) == (5.0, {})
+    assert limits == [np.inf, about(10.0), about(5.0)]
 
 
 @pytest.mark.parametrize(("unknown", "classes"), [(0.0, ()), (5.0, (("first", "second"),))])

@@ -81,11 +81,14 @@ class LowPass:
 
 def first_order(values: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
     """Return y, (N, ...), with ``y[k] = keep * y[k-1] + values[k]``, where y[-1] is `before`."""
-    from scipy.linalg import solve_banded  # scipy.signal has such filters, but takes a second to import
+    from scipy.linalg.blas import dtbsv  # scipy.signal has such filters, but takes a second to import
 
-    right = np.array(values)
-    right[0] += keep * before
-    return np.asarray(solve_banded((1, 0), [np.ones(len(right)), np.full(len(right), -keep)], right))
+    y = np.array(values, dtype=np.float64, order="C")
+    y[0] += keep * before
+    columns, band = y.reshape(len(y), -1), np.full((2, len(y)), -keep)
+    for k, column in enumerate(columns.T):
+        columns[:, k] = dtbsv(1, band, column, lower=1, diag=1)
+    return y
 
 
 def derivative(time: FloatArray, values: FloatArray, order: int = 1) -> FloatArray:

@@ -185,11 +185,14 @@ def _beginning(case: Case, share: float) -> Case:
 def _ends(
     part: Subject, unknowns: Sequence[Unknown], starts: Sequence[Mapping[str, float]], most: float = np.inf
 ) -> Iterator[tuple[float, Mapping[str, float]]]:
-    """Yield the cost and the values where searches from the `starts` end, without those that cannot begin."""
+    """Yield the cost and the values where searches from the `starts` end, without those that cannot begin.
+
+    Those that would not end about as well as the best before them, or above the cost `most`, need not end.
+    """
     model = part.model
     for start in starts:
         with suppress(SimulationError):
-            yield descend(
+            end = descend(
                 model.predict,
                 part.observed,
                 unknowns,
@@ -198,6 +201,8 @@ def _ends(
                 max_iterations=_ITERATIONS,
                 most=most,
             )
+            most = min(most, about(end[0]))
+            yield end
 
 
 _SIZE = (0.03, 3.0)  # of a first guess, in trials: a response is linear only so far
@@ -340,7 +345,7 @@ def better_nominal(subject: Subject, nominal: Fitted, candidates: Sequence[Fitte
     start, cost = _best_start(subject, [nominal.fit.values, *starts])
     if not np.isfinite(cost) or start is nominal.fit.values:
         return None
-    better = fit_effects(subject, (), [start])
+    better = fit_effects(subject, (), [start], most=nominal.fit.cost)
     return better if better is not None and nominal.fit.cost > about(better.fit.cost) else None
 
 
@@ -550,7 +555,7 @@ def _if_better(
     start, promised = _best_start(subject, starts, nominal_basis(fitted.fit, subject.observed))
     if fitted.fit.cost <= about(promised):
         return fitted
-    again = fit_effects(subject, effects, [start])
+    again = fit_effects(subject, effects, [start], most=fitted.fit.cost)
     return fitted if again is None or fitted.fit.cost <= about(again.fit.cost) else again
 
 
