@@ -190,10 +190,10 @@ def test_as_many_effects_are_named_as_are_true(truth, causes):
     assert set(verdict.effects) == causes
 
 
-@pytest.mark.parametrize(("again", "most"), [(False, 3), (True, 2)])
-def test_no_third_effect_is_tried_if_another_search_follows_a_pair_that_leaves_much(again, most):
+@pytest.mark.parametrize(("again", "third", "most"), [(False, 0.6, 3), (True, 0.6, 2), (False, 0.4, 2)])
+def test_no_third_effect_is_added_if_another_search_follows_or_if_it_closes_too_little(again, third, most):
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "third": {3: 1.0}}
-    subject = heard(laws, {1: 1.0, 2: 1.0, 3: 0.6, 4: 0.6})
+    subject = heard(laws, {1: 1.0, 2: 1.0, 3: third, 4: 0.62})
     nominal = fit_effects(subject, (), [{}])
     (prediction,) = subject.model.predict([nominal.fit.values])
     scores, noise = score_further(subject, nominal), draw_noise(subject.observed, prediction)

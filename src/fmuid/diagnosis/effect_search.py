@@ -111,7 +111,9 @@ def search(
             if not (shape and _same_place(subject, c, signatures))
         ]
         better = decide.best_of(company, subject.observed) if company else None
-        if better is None or not decide.worth_adding(best, better, _GAIN):
+        # No others are tried with a third effect, so one that would be dropped at the end is not added.
+        least = _GAIN if len(best.effects) < decide.MOST_CALIBRATED else decide.GAIN_OF_A_SECOND
+        if better is None or not decide.worth_adding(best, better, least):
             break
         candidates += company
         best = better
