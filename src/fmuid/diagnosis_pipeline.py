@@ -106,18 +106,18 @@ def with_starts_of_runs(
 ) -> tuple[Campaign, str] | None:
     """Return the campaign with start states that are estimated for each run, and a note.
 
-    None unless these explain as much of the gap as a second effect has to, together with the best explanation or,
-    if they are likelier than it, in its place. A firm verdict stays if it leaves nothing. A log that begins in
-    motion may start at the model's outputs and depart from them in what follows, unless every state is measured.
+    None unless these explain as much as a second effect has to: of the gap, if they are likelier than the best
+    explanation, or of what an unsure one leaves. A firm verdict stays. A log that begins in motion may start at
+    the model's outputs and depart from them in what follows, unless every state is measured.
     """
     verdict, explained = outcome.diagnosis.verdict, outcome.corrected
-    firm = verdict.kind == "effect" and not verdict.provisional
-    settled = verdict.kind == "complete" or (firm and verdict.rest is None)
+    sure = verdict.kind in ("effect", "ambiguous") and not verdict.provisional
+    firm = verdict.kind == "complete" or (verdict.kind == "effect" and sure)
     stages = {
         name: stage if stage.segments is not None or stage.observer else replace(stage, segments=math.inf)
         for name, stage in campaign.stages.items()
     }
-    if settled or not outcome.diagnosis.gap.present or outcome.subject.observed.nuisances or not stages:
+    if firm or not outcome.diagnosis.gap.present or outcome.subject.observed.nuisances or not stages:
         return None
     if not all(channel.plain for case in outcome.subject.model.cases for channel in case.channels):
         return None  # sensors with a model of their own follow no segment
@@ -126,14 +126,18 @@ def with_starts_of_runs(
     observed = with_states(subject.observed, subject.model, outcome.nominal.fit.values)
     if not observed.nuisances or _begin_as_modelled(outcome, subject):
         return None  # a model that cannot be restarted, or has no reason to
-    for base in (explained,) if firm else (outcome.nominal, explained):
+    alone = sure or not explained.effects
+    for base in (outcome.nominal,) if alone else (outcome.nominal, explained):
         with_base = [subject.by_id[id] for id in base.effects]
         fit = refit_only(replace(subject, observed=observed), with_base, [base.fit.values])
-        if fit is None or not starts_matter(fit, base, observed):
+        if fit is None:
             continue
         left = gap(fit.residuals, observed)
-        likely = base is explained or odds_of_starts(fit, base, explained, observed) > 0.0
-        if likely and share_closed(base.gap, left) >= GAIN_OF_A_SECOND:
+        if base.effects:
+            needed = starts_matter(fit, base, observed)
+        else:
+            needed = odds_of_starts(fit, base, explained, observed) > 0.0
+        if needed and share_closed(base.gap, left) >= GAIN_OF_A_SECOND:
             break
     else:
         return None

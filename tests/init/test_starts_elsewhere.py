@@ -98,7 +98,7 @@ def test_walls_that_were_warm_before_the_log_began_are_no_effect(tmp_path, wall)
 def test_walls_that_were_warm_do_not_hide_an_effect(tmp_path):
     """Neither the late heater nor the warm walls explain the gap without the other."""
     campaign = fmuid.start(
-        logs(tmp_path, 0.0, repeats=1, wall=3.0, late=9), model=tmp_path / "Room.mo", out=tmp_path / "room"
+        logs(tmp_path, 0.0, repeats=1, wall=3.0, late=3), model=tmp_path / "Room.mo", out=tmp_path / "room"
     )
     diagnosis = fmuid.diagnose(campaign, law=False).diagnosis
     assert any("start elsewhere than the model" in note for note in diagnosis.notes)
