@@ -136,7 +136,7 @@ def with_starts_of_runs(
         if base.effects:
             needed = starts_matter(fit, base, observed)
         else:
-            needed = odds_of_starts(fit, base, explained, observed) > 0.0
+            needed = odds_of_starts(fit, outcome.nominal, explained, observed) > 0.0
         if needed and share_closed(base.gap, left) >= GAIN_OF_A_SECOND:
             break
     else:

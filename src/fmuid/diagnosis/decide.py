@@ -88,21 +88,24 @@ def starts_matter(started: Refit, base: Fitted, observed: Observed) -> bool:
     What is left counts as noise that is not white. `observed` has the states of each run as nuisances.
     """
     left = float(np.mean(observed.repeats)) * gap(started.residuals, observed) ** 2
-    states = sum(int(basis.shape[1]) for basis in observed.nuisances)
-    return float(chdtrc(states, max(0.0, base.fit.cost - started.cost) / spread(left) ** 2)) < SIGNIFICANCE
+    gained = max(0.0, base.fit.cost - started.cost) / spread(left) ** 2
+    return float(chdtrc(_start_states(observed), gained)) < SIGNIFICANCE
 
 
-def odds_of_starts(started: Refit, base: Fitted, explained: Fitted, observed: Observed) -> float:
-    """Return the logarithm of the odds of the model `base`, `started` elsewhere in each run, against another.
+def odds_of_starts(started: Refit, nominal: Fitted, explained: Fitted, observed: Observed) -> float:
+    """Return the logarithm of the odds of the nominal model `started` elsewhere in each run, against an effect.
 
     As in `log_odds`; each start state of each run is a parameter. `observed` has these states as nuisances.
     """
     left = float(np.mean(observed.repeats)) * min(gap(started.residuals, observed), explained.gap) ** 2
-    states = sum(int(basis.shape[1]) for basis in observed.nuisances)
-    price = 0.5 * float(states * np.log(base.held_out.size.sum()))
-    return (
-        (explained.fit.cost - started.cost) / (2.0 * spread(left) ** 2) - price + _price(explained) - _price(base)
-    )
+    gained = (explained.fit.cost - started.cost) / (2.0 * spread(left) ** 2)
+    price = 0.5 * _start_states(observed) * float(np.log(nominal.held_out.size.sum()))
+    return gained - price + _price(explained) - _price(nominal)
+
+
+def _start_states(observed: Observed) -> int:
+    """Return the number of start states that are fitted to the runs."""
+    return sum(int(basis.shape[1]) for basis in observed.nuisances)
 
 
 def _price(fitted: Fitted) -> float:
