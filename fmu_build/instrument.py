@@ -125,6 +125,13 @@ def instrument(flat: FlatModel, terms: Sequence[Term], added: Iterable[Added]) -
     return flat
 
 
+def _new(flat: FlatModel, name: str) -> str:
+    """Return a name that the model does not have; an earlier diagnosis may have added the same."""
+    while name in flat.variables:
+        name += "_"
+    return name
+
+
 def _with_states(flat: FlatModel, terms: Sequence[Term], quantities: Mapping[str, Expression]) -> FlatModel:
     for term in terms:
         for state in term.states:
@@ -213,9 +220,7 @@ def _with_written_drop(flat: FlatModel, port: Port, terms: Sequence[Term]) -> Fl
     if not port.differences:
         what = f"'{port.name}' is not a difference of two potentials, so it has no potential drop"
         raise ModelicaError(what, where=terms[0].where)
-    name = f"{port.name}.difference"
-    while name in flat.variables:  # of an earlier diagnosis
-        name += "_"
+    name = _new(flat, f"{port.name}.difference")
     flat = flat.with_variable(Variable(name, ADDED, unit=port.units[0] or None))
     new: dict[bool, Expression] = {False: variable(name), True: Call(ADDED, "der", (variable(name),))}
 
@@ -316,21 +321,35 @@ def _with_coefficient(flat: FlatModel, name: str, terms: Sequence[Term]) -> Flat
         what = f"'{name}' is not a parameter that acts in the model's equations"
         fix = suggestion(name, {c.name for c in coefficients(flat)})
         raise ModelicaError(what, where=terms[0].where, fix=fix)
-    value: Expression = variable(parameter)
-    varied_name = f"{name.replace(':', '.')}.{VALUE}"
-    while varied_name in flat.variables:  # of an earlier diagnosis
-        varied_name += "_"
+    varied_name = _new(flat, f"{name.replace(':', '.')}.{VALUE}")
     before = flat
     only = equations_with(flat, parameter)[determined] if determined else None
     flat = _replaced(
         flat, {parameter: variable(varied_name), **_followers(flat, parameter, variable(varied_name))}, only
     )
     flat = flat.with_variable(Variable(varied_name, ADDED, unit=before.variables[parameter].unit))
-    for term in terms:
-        quantities = {"p": value}
-        flat = _with_states(flat, [term], quantities)
-        value = _expression(flat, term, quantities)
+    flat, value = _in_turn(flat, terms, {"p": variable(parameter)}, varied_name)
     return flat.with_equation(variable(varied_name), value)
+
+
+def _in_turn(
+    flat: FlatModel, terms: Sequence[Term], quantities: Mapping[str, Expression], name: str
+) -> tuple[FlatModel, Expression]:
+    """Apply laws to the value ``p`` one after the other; also return the last one's expression.
+
+    What a law makes of the value is a variable of its own, `name` with a number, for the next law to use: a law
+    names its value several times, so expressions of expressions would grow exponentially.
+    """
+    value = quantities["p"]
+    for k, term in enumerate(terms):
+        if k:
+            step = _new(flat, f"{name}_{k}")
+            flat = flat.with_variable(Variable(step, ADDED)).with_equation(variable(step), value)
+            value = variable(step)
+        inside = {**quantities, "p": value}
+        flat = _with_states(flat, [term], inside)
+        value = _expression(flat, term, inside)
+    return flat, value
 
 
 def _followers(flat: FlatModel, name: str, value: Expression) -> dict[str, Expression]:
@@ -370,9 +389,5 @@ def _with_signal(flat: FlatModel, port: Port, terms: Sequence[Term]) -> FlatMode
     """Insert laws into a causal connection, one after the other."""
     (name,) = port.connectors
     i = next(i for i, fed, _ in fed_inputs(flat) if fed == name)
-    value: Expression = port.quantities["p"]
-    for term in terms:
-        quantities = {**port.quantities, "p": value}
-        flat = _with_states(flat, [term], quantities)
-        value = _expression(flat, term, quantities)
+    flat, value = _in_turn(flat, terms, port.quantities, f"{port.name}.{VALUE}")
     return flat.with_equations({i: (replace(flat.equations[i], left=variable(name), right=value),)})

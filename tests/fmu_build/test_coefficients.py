@@ -9,6 +9,7 @@ from fmu_build import compile_flat, load
 from fmu_build.errors import ModelicaError
 from fmu_build.instrument import Added, State, Term, instrument
 from fmu_build.model_ports import coefficients
+from fmu_build.syntax import walk
 
 RIGS = Path(__file__).parent / "models" / "Rigs.mo"
 
@@ -57,6 +58,26 @@ def test_a_coefficient_that_varies_acts_as_its_value_does():
     as_given = derivatives(model, at, {"shaft.d": next(
         float(v.binding.value) for v in model.variables.values() if v.name == "shaft.d") * 2.0})  # fmt: skip
     assert derivatives(changed, at) == pytest.approx(as_given, rel=1e-12)
+
+
+@pytest.mark.parametrize(("place", "acts"), [("load.J", "parameter"), ("motor.tau", "signal")])
+def test_laws_act_one_after_the_other_in_a_model_of_their_number_of_terms(place, acts):
+    """Each names the value three times: written into one another, twelve laws would have half a million terms."""
+
+    def with_laws(n):
+        return instrument(
+            flat("TwoMass"), [Term(place, acts, "noEvent(if p > 0.012 then 0.9*p else 2*p)")] * n, []
+        )
+
+    sizes = [sum(1 for _ in walk((e.left, e.right))) for n in (2, 12) for e in with_laws(n).equations]
+    assert sum(sizes) < 2000
+    at = {"load.w": 2.0}
+    value = {"parameter": 5e-3, "signal": 1.0}[acts]
+    for _ in range(3):
+        value = 0.9 * value if value > 0.012 else 2 * value
+    three = derivatives(with_laws(3), at)
+    one = derivatives(instrument(flat("TwoMass"), [Term(place, acts, repr(value))], []), at)
+    assert three == pytest.approx(one, rel=1e-12)
 
 
 def test_parameters_computed_from_it_follow(tmp_path):
