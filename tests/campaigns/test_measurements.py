@@ -438,6 +438,34 @@ def test_runs_whose_inputs_differ_by_noise_repeat_a_reference(tmp_path):
         write_measurements(Measurements({**marked, "c": both}), tmp_path / "n.h5")
 
 
+@pytest.mark.parametrize(
+    ("output", "column", "repeats"),
+    [
+        ({}, {}, True),
+        ({"begin": 1.0}, {}, False),  # it begins elsewhere
+        ({"slow": 0.3}, {}, True),  # nothing says why it differs
+        ({"slow": 0.3}, {"T": 5.0}, False),  # it was warmer
+        ({"slow": 0.3}, {"T": 0.1}, True),  # hardly warmer
+        ({}, {"T": 5.0}, True),  # it was warmer, and did the same
+        ({"slow": 0.3}, {"clock": 100.0}, True),  # clocks always differ
+    ],
+)
+def test_runs_with_equal_inputs_are_no_repeats_where_a_log_says_why_they_differ(output, column, repeats):
+    time = np.arange(200) * 0.01
+    rng = np.random.default_rng(3)
+
+    def run(id, *, begin=0.0, slow=0.0, T=0.0, clock=0.0):
+        u = np.sin(5 * time)
+        y = u + begin * np.exp(-time) + slow * time + 0.01 * rng.standard_normal(200)
+        unused = {"T": Signal("T", 20 + T + np.sin(time), "degC", "input")}
+        unused |= {"clock": Signal("clock", clock + time, "s", "input")}
+        signals = {n: Signal(n, v, "1", c) for n, v, c in (("u", u, "input"), ("y", y, "output"))}
+        return Experiment(id, "bench", time, signals, unused=unused)
+
+    marked = with_repeats({r.id: r for r in (run("a"), run("b", **output, **column))})
+    assert (marked["b"].repeat_of == "a") is repeats
+
+
 def test_runs_whose_clocks_differ_are_repeats(tmp_path):
     rng = np.random.default_rng(3)
     grid = np.arange(200) * 0.01

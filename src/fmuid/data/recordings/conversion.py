@@ -15,6 +15,8 @@ from fmuid.core.experiments import NEAR_TIMES, SAME_TIMES, Causality, Experiment
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import check_unit
 from fmuid.data.crosscheck_csv import Table
+from fmuid.data.noise.resolution import quantum
+from fmuid.data.noise.single_run import fast_variance
 from fmuid.data.recordings import read_recording
 from fmuid.data.recordings.dataframe import from_frame
 from fmuid.data.recordings.resampling import TimeBase, aliased, one_time_base
@@ -23,7 +25,9 @@ from fmuid.data.table_layout import TableLayout
 _MOST_STEPS = 0.25  # share of rows at the time of another one: more are times without enough digits
 _SAME_TIME = 1e-9  # of the usual step: times that differ by less are one time, rounded
 _STEP_APART = 1e-3  # of the shortest step: the distance of the two rows of a step
-_NEARLY = 0.05  # of an input's standard deviation
+_NEARLY = 0.05  # of a signal's standard deviation
+_SEEN = 4.0  # standard deviations of noise by which two runs begin apart: one false alarm in 10,000
+_APART = 0.5  # of a column's standard deviation over all runs: nearer than that, it tells little of a difference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,15 +220,62 @@ def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]
 
     Clocks may begin at any time. A run whose inputs differ from an earlier one's by less than 5 % of their
     standard deviation, or whose sampling has jitter, repeats its reference: the two say hardly more than one of
-    them about what the model gets wrong.
+    them about what the model gets wrong. But where outputs differ by more than fast noise and the logs show a
+    reason, because the runs begin elsewhere or under other conditions, the difference is no noise.
     """
+    every = list(experiments.values())
+    conditions = {n for e in every for n, s in e.unused.items() if not _counts(s.values)}
+    spread = {n: float(np.std(np.concatenate([e.unused[n].values for e in every if n in e.unused])))
+              for n in conditions}  # fmt: skip
+
+    def repeats(a: Experiment, b: Experiment, within: float) -> bool:
+        return _same_run(a, b, within=within) and not (
+            _outputs_differ(a, b) and (_begin_apart(a, b) or _conditions_differ(a, b, spread))
+        )
+
     marked: dict[str, Experiment] = {}
-    for experiment in experiments.values():
+    for experiment in every:
         firsts = [e for e in marked.values() if not e.repeats_another]
-        same = next((e.id for e in firsts if _same_run(e, experiment)), None)
-        near = None if same else next((e.id for e in firsts if _same_run(e, experiment, within=_NEARLY)), None)
+        same = next((e.id for e in firsts if repeats(e, experiment, 0.0)), None)
+        near = None if same else next((e.id for e in firsts if repeats(e, experiment, _NEARLY)), None)
         marked[experiment.id] = replace(experiment, repeat_of=same, repeat_of_reference=near)
     return marked
+
+
+def _outputs_differ(a: Experiment, b: Experiment) -> bool:
+    """Return whether the outputs of two runs differ by more energy than twice that of their fast noise."""
+    pairs = [(s.values, b.outputs[n].values) for n, s in a.outputs.items() if n in b.outputs]
+    return any(np.nanmean((x - y) ** 2) > 2.0 * _noise(x, y) for x, y in pairs)
+
+
+def _begin_apart(a: Experiment, b: Experiment) -> bool:
+    """Return whether outputs of two runs begin apart: beyond their noise, and by 5 % of what they move."""
+    pairs = [(s.values, b.outputs[n].values) for n, s in a.outputs.items() if n in b.outputs]
+    return any(
+        (x[0] - y[0]) ** 2 > _SEEN**2 * _noise(x, y) + (_NEARLY * max(np.nanstd(x), np.nanstd(y))) ** 2
+        for x, y in pairs
+    )
+
+
+def _conditions_differ(a: Experiment, b: Experiment, spread: Mapping[str, float]) -> bool:
+    """Return whether columns that the model does not use differ by half of their `spread` over all runs."""
+    pairs = [
+        (a.unused[n].values, b.unused[n].values, s)
+        for n, s in spread.items()
+        if {n} <= a.unused.keys() & b.unused.keys()
+    ]
+    return any(np.nanmean((x - y) ** 2) > _noise(x, y) + (_APART * s) ** 2 for x, y, s in pairs)
+
+
+def _noise(x: FloatArray, y: FloatArray) -> float:
+    """Return the variance of the difference of two signals due to fast noise."""
+    return sum(fast_variance([v], quantum(v)) + quantum(v) ** 2 / 12.0 for v in (x, y))
+
+
+def _counts(values: FloatArray) -> bool:
+    """Return whether a column only rises or only falls, as clocks and counters do."""
+    steps = np.diff(values)
+    return bool(np.all(steps >= 0.0) or np.all(steps <= 0.0))
 
 
 def table_from_experiment(experiment: Experiment) -> Table:
