@@ -42,7 +42,9 @@ def test_the_response_is_that_of_a_simulation(tmp_path, rig, parameter, drive, o
 
     names = model.needed
     courses = dict(zip(names, simulated(0.0, names), strict=True)) | inputs
-    response = model.along(time, courses, {}, outputs).to(0, course[None, :])[0]
+    along = model.along(time, courses, {}, outputs)
+    assert along.powers == pytest.approx([-1.0 if parameter == "load.J" else 1.0])
+    response = along.to(0, course[None, :])[0]
     expected = (simulated(1e-3, outputs) - simulated(-1e-3, outputs)) / 2e-3
     size = np.abs(expected).max(axis=1, keepdims=True)
     assert np.abs(response - expected).max() < 0.05 * size.max()  # a few samples for each oscillation
@@ -99,7 +101,9 @@ def test_states_pass_on_from_knot_to_knot(steps, n):
     observed = rng.normal(size=(steps + 1, outputs, n))
     direct = rng.normal(size=(steps + 1, outputs, parameters))
     rates = rng.normal(size=(steps + 1, n, parameters))
-    response = LinearResponse(time, np.arange(steps + 1.0), transition, driven, observed, direct, rates)
+    response = LinearResponse(
+        time, np.arange(steps + 1.0), transition, driven, observed, direct, rates, np.ones(parameters)
+    )
     courses = rng.normal(size=(4, steps + 1))
     moved = response.to(1, courses)
     for course, of_one in zip(courses, moved, strict=True):

@@ -29,10 +29,10 @@ end Room;
 STEP, SAMPLES, RUNS = 20.0, 240, 4
 
 
-def logs(folder, conductance, seed=1, begins=(0.0,) * RUNS):
+def logs(folder, conductance, seed=1, begins=(0.0,) * RUNS, cold=lambda outdoors: 1.0):
     """CSV files of a room whose conductance is a function of its temperature, of the wind and of a run's time.
 
-    Logs count time from `begins`.
+    It is `cold(T_out)` times that; logs count time from `begins`.
     """
     rng = np.random.default_rng(seed)
     paths = {}
@@ -46,7 +46,7 @@ def logs(folder, conductance, seed=1, begins=(0.0,) * RUNS):
         for k in range(SAMPLES):
             temperature[k] = value
             for _ in range(10):
-                loss = conductance(value, wind[k], time[k])
+                loss = conductance(value, wind[k], time[k]) * cold(outdoors[k])
                 value += STEP / 10 * (power[k] - loss * (value - outdoors[k])) / 2e4
         seen = temperature + 0.01 * rng.standard_normal(SAMPLES)
         gust = wind + 0.5 * rng.standard_normal(SAMPLES)  # a worse anemometer
@@ -57,9 +57,9 @@ def logs(folder, conductance, seed=1, begins=(0.0,) * RUNS):
     return paths
 
 
-def campaign(tmp_path, conductance, **how):
+def campaign(tmp_path, conductance, model=ROOM, **how):
     source = tmp_path / "Room.mo"
-    source.write_text(ROOM)
+    source.write_text(model)
     return fmuid.start([*logs(tmp_path, conductance, **how).values()], model=source, out=tmp_path / "room")
 
 
@@ -212,6 +212,21 @@ def test_laws_that_small_changes_do_not_tell_apart_are_refitted(tmp_path, change
 
     effects = tomllib.loads(made_catalogue(campaign(tmp_path, changed), load_simulator))["effects"]
     assert law in effects["varies@G(time)"]["expression"]
+
+
+def test_a_line_is_found_whether_the_model_has_a_conductance_or_a_resistance(tmp_path):
+    def cold(outdoors):
+        return 1.0 + 0.21 * (outdoors - 278.0)
+
+    resistance = ROOM.replace('G(unit = "W/K") = 20', 'R(unit = "K/W") = 0.05')
+    laws = {}
+    for name, model in (("G", ROOM), ("R", resistance.replace("G*(T - T_out)", "(T - T_out)/R"))):
+        (tmp_path / name).mkdir()
+        rig = campaign(tmp_path / name, lambda *_: 20.0, model, cold=cold)
+        effects = tomllib.loads(made_catalogue(rig, load_simulator))["effects"]
+        laws[name] = effects[f"varies@{name}(T_out)"]["expression"]
+    assert laws["G"].startswith("p*(1 + ")
+    assert laws["R"].startswith("p/max(1 + ")
 
 
 def test_a_coefficient_may_vanish_at_an_end_of_its_range(tmp_path):

@@ -54,6 +54,8 @@ _MARGIN = 1.2  # over the largest score that noise alone reaches
 _ROUNDS = 8  # of the search for a law's shape
 _PART = 0.125  # first steps of that search, as a share of what is possible
 _INSIDE = 0.01  # share of what is possible that the search stays away from a bound
+_SHARES = (0.1, 0.25, 0.5, 1.0, 2.0)  # of a size that fits a small response: where the search for a large one begins
+_LEAST = 0.02  # of its value: a coefficient that comes nearer to vanishing acts as one of that size
 _STRAIGHT = 0.02  # of its change: a course that is this near to its chord is a line
 
 
@@ -119,7 +121,8 @@ class Source:
 class Scored:
     """A law for a coefficient over a source, with the fall of the cost that it promises at values of a trial.
 
-    `change` is the largest relative change of the coefficient at the size that fits.
+    `change` is the largest relative change of the coefficient at the size that fits, which is `scale` times the
+    trial's; what the model does follows a `power` of the coefficient.
     """
 
     coefficient: Coefficient
@@ -129,6 +132,8 @@ class Scored:
     drop: float
     change: float
     signature: FloatArray
+    scale: float
+    power: float
 
     @property
     def law(self) -> Law:
@@ -139,6 +144,11 @@ class Scored:
     def over(self) -> str:
         """What it depends on, as in ids."""
         return WARMTH if self.law.memory else self.source.name
+
+    @property
+    def sized(self) -> bool:
+        """Whether its response at any size is that of the trial, scaled."""
+        return _linear(self.law) and self.power == 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -450,13 +460,19 @@ def _at(
     *,
     basis: FloatArray,
     residual: FloatArray,
+    sized: bool = False,
 ) -> Iterator[Scored]:
-    """Yield the laws of a coefficient over a source at values of trials; what cannot be evaluated is left out."""
+    """Yield the laws of a coefficient over a source at values of trials; what cannot be evaluated is left out.
+
+    Trials of laws that are linear in their size show the response to any size, unless they are `sized` and the
+    model follows another power of the coefficient.
+    """
     kept: list[tuple[str, Mapping[str, float]]] = []
     rows: list[tuple[FloatArray, ...]] = []
     time = [subject.model.cases[k].time for s in having for k in s.index]
+    power = float(np.median([r.powers[s.places[name]] for s in having for r in s.responses]))
     for law_name, trial in tried:
-        changes = _changes(laws()[law_name], source.courses, time, trial)
+        changes = [_acting(c, power) for c in _changes(laws()[law_name], source.courses, time, trial)]
         if all(np.isfinite(c).all() for c in changes) and any(np.ptp(c) > 0.0 for c in changes):
             kept.append((law_name, trial))
             rows.append(tuple(changes))
@@ -474,11 +490,17 @@ def _at(
         amount = -float(signature @ residual) / length
         drop = amount**2 if amount > 0.0 or law.two_sided else 0.0
         fitting = float(amount / length)
-        if not _linear(law):  # another size is another shape
+        if not _linear(law) or (sized and power != 1.0):  # another size is another shape
             fitting = float(np.clip(fitting, *_ABOUT_ONE))
             drop = float(length) ** 2 * fitting * (2.0 * amount / float(length) - fitting)
         change = abs(fitting) * max(float(np.abs(c).max()) for c in row)
-        yield Scored(having[0].coefficients[name], source, law_name, trial, drop, change, signature / length)
+        coefficient = having[0].coefficients[name]
+        yield Scored(coefficient, source, law_name, trial, drop, change, signature / length, fitting, power)
+
+
+def _acting(changes: FloatArray, power: float) -> FloatArray:
+    """Return the relative changes of a coefficient as they act on what follows a power of it."""
+    return changes if power == 1.0 else (np.maximum(1.0 + changes, _LEAST) ** power - 1.0) / power
 
 
 def _largest(scored: Sequence[Scored]) -> float:
@@ -492,8 +514,11 @@ def _shaped(
 
     A pattern search, on a logarithmic scale for values that are positive.
     """
-    best, part = {one.name: one for one in every}, {one.name: _PART for one in every}
-    bounds = {one.name: _bounds(one) for one in every}
+    coefficient, source = every[0].coefficient.name, every[0].source
+    fitting = [(one.name, trial) for one in every if not one.sized and _linear(one.law) for trial in _fitting(one)]
+    resized = [*_at(subject, having, source, coefficient, fitting, basis=basis, residual=residual, sized=True)]
+    best = {one.name: one for one in (*every, *sorted(resized, key=lambda one: one.drop))}
+    part, bounds = dict.fromkeys(best, _PART), {name: _bounds(one) for name, one in best.items()}
     for _ in range(_ROUNDS):
         tried = [
             (name, {**one.trial, **dict(zip(bounds[name], values, strict=True))})
@@ -507,8 +532,7 @@ def _shaped(
             if bounds[name]
         ]
         before = dict(best)
-        coefficient = every[0].coefficient.name
-        for one in _at(subject, having, every[0].source, coefficient, tried, basis=basis, residual=residual):
+        for one in _at(subject, having, source, coefficient, tried, basis=basis, residual=residual, sized=True):
             best[one.name] = one if one.drop > best[one.name].drop else best[one.name]
         part = {name: part[name] if best[name] is not before[name] else 0.5 * part[name] for name in best}
     return [*best.values()]
@@ -520,8 +544,15 @@ def _bounds(one: Scored) -> dict[str, tuple[float, float]]:
     return {
         key: (parse(p.least)(known), parse(p.most)(known))
         for key, p in one.law.parameters.items()
-        if key != "size" or not _linear(one.law)
+        if key != "size" or not one.sized
     }
+
+
+def _fitting(one: Scored) -> list[dict[str, float]]:
+    """Return the values of a trial at shares of the size that fits a small response, up to where it may end."""
+    low, high = _bounds(one)["size"]
+    most = one.scale * one.trial["size"]
+    return [{**one.trial, "size": float(np.clip(share * most, low, high))} for share in _SHARES]
 
 
 def _further(value: float, step: float, least: float, most: float) -> float:

@@ -22,6 +22,8 @@ from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.simulator import Task
 
 _NEWTON = 6  # iterations for the unknowns of algebraic loops, which the run itself already gives to its tolerance
+_LARGER = 1.25  # times a parameter: where another derivative tells the power that rates follow
+_ROUGHLY = 0.01  # relative: derivatives that are less alike than this follow no power
 _MOST = 1500  # samples of a run at which it is linearised; responses are lines between them
 
 
@@ -42,6 +44,8 @@ class LinearResponse:
         (K, q, n) and (K, q, P) derivatives of the outputs by the states, and by the relative changes.
     rates
         (K, n, P) derivatives of the states' rates by the relative changes.
+    powers
+        (P,) powers of the parameters that the rates follow: -1 for a mass; 1 where they follow none.
     """
 
     time: FloatArray
@@ -51,6 +55,7 @@ class LinearResponse:
     observed: FloatArray
     direct: FloatArray
     rates: FloatArray
+    powers: FloatArray
 
     def to(self, parameter: int, courses: FloatArray) -> FloatArray:
         """Return the (R, q, N) response of the outputs to (R, N) courses of a parameter's relative change."""
@@ -217,13 +222,22 @@ class Linearised:
         _, jacobian, _ = _matrices(f["jacobian"], environment)  # (n, nx + ny, nx + ny)
         zeros = [np.zeros((size, n)) for size in (m.n_z, m.n_z)] if m.n_z else []
         moved, linearisations = np.zeros((n, nx + ny, len(self.parameters))), []
+        powers = np.ones(len(self.parameters))
+
+        def moves(at: FloatArray, seed: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+            computed = (at, np.array(f["dependent"](at)).ravel())
+            place = [*environment[:3], *(np.repeat(a[:, None], n, axis=1) for a in computed), *environment[5:]]
+            followers = np.array(f["dependent_partials"](at, seed)).ravel()
+            along = [np.repeat(a[:, None], n, axis=1) for a in (seed, followers)]
+            return along, _evaluated(f["move_partials"], [*place, *along, *zeros])[0].T
+
         for j, name in enumerate(self.parameters):
             seed = np.zeros(m.n_p)
             place = self._by_name[name].location
             seed[place.index] = p[place.index]  # a relative change
-            followers = np.array(f["dependent_partials"](p, seed)).ravel()
-            linearisations.append([np.repeat(a[:, None], n, axis=1) for a in (seed, followers)])
-            moved[:, :, j] = _evaluated(f["move_partials"], [*environment, *linearisations[-1], *zeros])[0].T
+            along, moved[:, :, j] = moves(p, seed)
+            linearisations.append(along)
+            powers[j] = _power(moved[:, :, j], moves(p + (_LARGER - 1.0) * seed, seed)[1])
         # Unknowns of loops follow states and parameters.
         follow = np.zeros((n, ny, nx + len(self.parameters)))
         if ny:
@@ -261,7 +275,7 @@ class Linearised:
                     place.sign * states[:, place.index],
                     place.sign * parameters[:, place.index],
                 )
-        return _response(time, knots, (a, b), (c, direct))
+        return _response(time, knots, (a, b), (c, direct), powers)
 
 
 class LinearisedFmu:
@@ -326,7 +340,7 @@ class LinearisedFmu:
             if steady and _as_quotients(f, low, high, far):
                 b[:, :, j] = (at[_FACTORS[1]][0] - at[_FACTORS[0]][0]) / (_FACTORS[1] - _FACTORS[0])
         c, direct = slopes[:, nx:], np.zeros((n, len(outputs), size))
-        return _response(time, knots, (slopes[:, :nx], b), (c, direct))
+        return _response(time, knots, (slopes[:, :nx], b), (c, direct), np.ones(size))
 
 
 _FACTORS = (1.0 - 1e-4, 1.0 + 1e-4, 0.8, 1.25, 1.5)  # on a parameter: for derivatives by it, and for their shape
@@ -352,6 +366,7 @@ def _response(
     knots: FloatArray,
     moving: tuple[FloatArray, FloatArray],
     shown: tuple[FloatArray, FloatArray],
+    powers: FloatArray,
 ) -> LinearResponse:
     """Return the response of a model from the Jacobians of its derivatives and of its outputs."""
     a, b = moving
@@ -361,7 +376,15 @@ def _response(
     joined[:, :nx, nx:] = np.eye(nx) * step
     passed = expm(joined) if nx else joined
     driven = passed[:, :nx, nx:] @ (0.5 * (b[1:] + b[:-1]))
-    return LinearResponse(time, knots, passed[:, :nx, :nx], driven, *shown, b)
+    return LinearResponse(time, knots, passed[:, :nx, :nx], driven, *shown, b, powers)
+
+
+def _power(moved: FloatArray, farther: FloatArray) -> float:
+    """Return the power that rates follow, from their derivatives at a parameter and at `_LARGER` times it."""
+    energy, common = float(np.sum(moved**2)), float(np.sum(moved * farther))
+    if energy <= 0.0 or common <= 0.0 or np.sum((farther - common / energy * moved) ** 2) > _ROUGHLY**2 * energy:
+        return 1.0
+    return 1.0 + float(np.log(common / energy) / np.log(_LARGER))
 
 
 def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:
