@@ -150,14 +150,14 @@ def test_prior_odds_decide_between_models_that_fit_alike():
 
 
 def test_every_law_and_every_place_of_a_law_is_equally_probable():
-    """Two laws at four places, and eight laws by which 25 coefficients may vary."""
+    """Two laws at four places, and nine laws by which 25 coefficients may vary."""
     of_catalogue = [SimpleNamespace(id=f"{k}", law=law, among=1) for k, law in enumerate(("loss", "gain") * 2)]
-    varies = SimpleNamespace(id="varies", law="varies", among=200)
+    varies = SimpleNamespace(id="varies", law="varies", among=225)
     subject = SimpleNamespace(by_id={e.id: e for e in (*of_catalogue, varies)})
     loss, gain = (_log_prior(subject, [e]) for e in of_catalogue[:2])
-    assert loss == gain == pytest.approx(-np.log(10.0 * 2.0))
-    assert _log_prior(subject, [varies]) == pytest.approx(-np.log(10.0 * 25.0))
-    assert _log_prior(subject, [of_catalogue[0], varies]) == pytest.approx(loss - np.log(10.0 * 25.0))
+    assert loss == gain == pytest.approx(-np.log(11.0 * 2.0))
+    assert _log_prior(subject, [varies]) == pytest.approx(-np.log(11.0 * 25.0))
+    assert _log_prior(subject, [of_catalogue[0], varies]) == pytest.approx(loss - np.log(11.0 * 25.0))
     assert _log_prior(subject, []) == 0.0
 
 
