@@ -54,7 +54,7 @@ _MARGIN = 1.2  # over the largest score that noise alone reaches
 _ROUNDS = 8  # of the search for a law's shape
 _PART = 0.125  # first steps of that search, as a share of what is possible
 _INSIDE = 0.01  # share of what is possible that the search stays away from a bound
-_SHARES = (0.1, 0.25, 0.5, 1.0, 2.0)  # of a size that fits a small response: where the search for a large one begins
+_SHARES = (0.1, 0.25, 0.5, 1.0, 2.0)  # of a size that fits a small response: where the search for it begins
 _LEAST = 0.02  # of its value: a coefficient that comes nearer to vanishing acts as one of that size
 _STRAIGHT = 0.02  # of its change: a course that is this near to its chord is a line
 
