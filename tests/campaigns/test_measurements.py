@@ -447,6 +447,7 @@ def test_runs_whose_inputs_differ_by_noise_repeat_a_reference(tmp_path):
         ({"slow": 0.3}, {"T": 5.0}, False),  # it was warmer
         ({"slow": 0.3}, {"T": 0.1}, True),  # hardly warmer
         ({}, {"T": 5.0}, True),  # it was warmer, and did the same
+        ({"slow": np.nan}, {"T": 5.0}, True),  # its output is missing
         ({"slow": 0.3}, {"clock": 100.0}, True),  # clocks always differ
     ],
 )

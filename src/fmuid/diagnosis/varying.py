@@ -146,7 +146,7 @@ class Scored:
         return WARMTH if self.law.memory else self.source.name
 
     @property
-    def sized(self) -> bool:
+    def scales(self) -> bool:
         """Whether its response at any size is that of the trial, scaled."""
         return _linear(self.law) and self.power == 1.0
 
@@ -515,7 +515,8 @@ def _shaped(
     A pattern search, on a logarithmic scale for values that are positive.
     """
     coefficient, source = every[0].coefficient.name, every[0].source
-    fitting = [(one.name, trial) for one in every if not one.sized and _linear(one.law) for trial in _fitting(one)]
+    linear = [one for one in every if not one.scales and _linear(one.law)]
+    fitting = [(one.name, trial) for one in linear for trial in _fitting(one)]
     resized = [*_at(subject, having, source, coefficient, fitting, basis=basis, residual=residual, sized=True)]
     best = {one.name: one for one in (*every, *sorted(resized, key=lambda one: one.drop))}
     part, bounds = dict.fromkeys(best, _PART), {name: _bounds(one) for name, one in best.items()}
@@ -544,7 +545,7 @@ def _bounds(one: Scored) -> dict[str, tuple[float, float]]:
     return {
         key: (parse(p.least)(known), parse(p.most)(known))
         for key, p in one.law.parameters.items()
-        if key != "size" or not one.sized
+        if key != "size" or not one.scales
     }
 
 

@@ -225,8 +225,8 @@ def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]
     """
     every = list(experiments.values())
     conditions = {n for e in every for n, s in e.unused.items() if not _counts(s.values)}
-    spread = {n: float(np.std(np.concatenate([e.unused[n].values for e in every if n in e.unused])))
-              for n in conditions}  # fmt: skip
+    courses = {n: np.concatenate([e.unused[n].values for e in every if n in e.unused]) for n in conditions}
+    spread = {n: float(np.nanstd(values)) for n, values in courses.items() if np.isfinite(values).any()}
 
     def repeats(a: Experiment, b: Experiment, within: float) -> bool:
         return _same_run(a, b, within=within) and not (
@@ -242,29 +242,38 @@ def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]
     return marked
 
 
+def _shared(a: Mapping[str, Signal], b: Mapping[str, Signal]) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return the samples that two runs both have of each signal."""
+    shared = {}
+    for name, signal in a.items():
+        if name in b:
+            x, y = signal.values, b[name].values
+            there = np.isfinite(x) & np.isfinite(y)
+            if there.any():
+                shared[name] = x[there], y[there]
+    return shared
+
+
 def _outputs_differ(a: Experiment, b: Experiment) -> bool:
     """Return whether the outputs of two runs differ by more energy than twice that of their fast noise."""
-    pairs = [(s.values, b.outputs[n].values) for n, s in a.outputs.items() if n in b.outputs]
-    return any(np.nanmean((x - y) ** 2) > 2.0 * _noise(x, y) for x, y in pairs)
+    return any(np.mean((x - y) ** 2) > 2.0 * _noise(x, y) for x, y in _shared(a.outputs, b.outputs).values())
 
 
 def _begin_apart(a: Experiment, b: Experiment) -> bool:
     """Return whether outputs of two runs begin apart: beyond their noise, and by 5 % of what they move."""
-    pairs = [(s.values, b.outputs[n].values) for n, s in a.outputs.items() if n in b.outputs]
     return any(
-        (x[0] - y[0]) ** 2 > _SEEN**2 * _noise(x, y) + (_NEARLY * max(np.nanstd(x), np.nanstd(y))) ** 2
-        for x, y in pairs
+        (x[0] - y[0]) ** 2 > _SEEN**2 * _noise(x, y) + (_NEARLY * max(np.std(x), np.std(y))) ** 2
+        for x, y in _shared(a.outputs, b.outputs).values()
     )
 
 
 def _conditions_differ(a: Experiment, b: Experiment, spread: Mapping[str, float]) -> bool:
     """Return whether columns that the model does not use differ by half of their `spread` over all runs."""
-    pairs = [
-        (a.unused[n].values, b.unused[n].values, s)
-        for n, s in spread.items()
-        if {n} <= a.unused.keys() & b.unused.keys()
-    ]
-    return any(np.nanmean((x - y) ** 2) > _noise(x, y) + (_APART * s) ** 2 for x, y, s in pairs)
+    return any(
+        np.mean((x - y) ** 2) > _noise(x, y) + (_APART * spread[name]) ** 2
+        for name, (x, y) in _shared(a.unused, b.unused).items()
+        if name in spread
+    )
 
 
 def _noise(x: FloatArray, y: FloatArray) -> float:
