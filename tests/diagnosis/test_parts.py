@@ -293,6 +293,24 @@ def test_a_refit_ends_where_what_it_gains_would_not_make_it_of_use():
     assert searched(-1e6 * fit.cost - 1e6)[1] < simulated
 
 
+def test_a_search_begins_whatever_the_rounding_of_its_scaled_start():
+    """A start divided by the step of its parameter and multiplied again may be another number."""
+    time, rng = np.linspace(0.0, 1.0, 200), np.random.default_rng(1)
+    observed, points = one_run(time, 2.0 * time), []
+
+    def predict(asked, near=None):
+        points.extend(p["k"] for p in asked)
+        return [(p["k"] * time[None],) for p in asked]
+
+    for start, step in rng.uniform(0.01, 1.0, (50, 2)):
+        points.clear()
+        _, values = descend(
+            predict, observed, [Unknown("k", start, 0.0, 9.0, step)], {}, tangents=None, max_iterations=6
+        )
+        assert values["k"] == pytest.approx(2.0, rel=1e-2)
+        assert not any(p != start and p == pytest.approx(start, rel=1e-12) for p in points)
+
+
 def test_a_refit_begins_whatever_its_rival_since_slopes_promise_too_little_where_they_bend():
     time = np.linspace(0.0, 1.0, 200)
     observed = one_run(time, time + 0.1 * np.sin(40.0 * time))

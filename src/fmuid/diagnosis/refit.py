@@ -204,9 +204,9 @@ def _search(
     best, cost, iterations, vain = start, campaign.cost(start), 0, 0
     costs: list[float] = []  # at the beginning of every iteration
 
-    def residuals(x: FloatArray) -> FloatArray:
+    def residuals(z: FloatArray) -> FloatArray:
         nonlocal best, cost, vain
-        x = campaign.clipped(x)
+        x = campaign.unscaled(z, start)
         try:
             r = campaign.vector(x)
         except SimulationError:  # the solver then shortens its step
@@ -221,7 +221,7 @@ def _search(
             raise SettledError
         return r
 
-    def jacobian(x: FloatArray) -> FloatArray:
+    def jacobian(z: FloatArray) -> FloatArray:
         nonlocal iterations
         costs.append(cost)
         gains = -np.diff(costs[-_RECENT - 1 :])
@@ -229,8 +229,7 @@ def _search(
         if iterations == max_iterations or hopeless:
             raise _ExhaustedError
         iterations += 1
-        x = campaign.clipped(x)
-        j = np.vstack([campaign.stacked(campaign.jacobian(x, slopes)), campaign.prior])
+        j = np.vstack([campaign.stacked(campaign.jacobian(campaign.unscaled(z, start), slopes)), campaign.prior])
         return np.asarray(j * campaign.steps)
 
     if not len(start):
@@ -238,8 +237,8 @@ def _search(
     lower, upper = campaign.lower / campaign.steps, campaign.upper / campaign.steps
     try:
         trust_region(
-            lambda z: residuals(z * campaign.steps),
-            lambda z: jacobian(z * campaign.steps),
+            residuals,
+            jacobian,
             start / campaign.steps,
             lower,
             upper,
@@ -295,6 +294,10 @@ class _Campaign:
 
     def clipped(self, x: FloatArray) -> FloatArray:
         return np.asarray(np.clip(x, self.lower, self.upper))
+
+    def unscaled(self, z: FloatArray, start: FloatArray) -> FloatArray:
+        """Return a point by its scaled values: for those of `start` this itself, which they round."""
+        return start if np.array_equal(z, start / self.steps) else self.clipped(z * self.steps)
 
     def values(self, x: FloatArray) -> dict[str, float]:
         return {name: float(v) for name, v in zip(self._names, x, strict=True)}
