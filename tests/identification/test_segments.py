@@ -135,6 +135,32 @@ def test_the_states_of_a_segment_are_found_from_where_they_hardly_show():
     assert x / (1.0 + x**2) == pytest.approx(0.3, abs=1e-4)
 
 
+class Fading(Simulator):
+    """It forgets where it began at a rate; `simulated` counts samples."""
+
+    states, variables = ("x",), {}
+    simulated = 0
+
+    def simulate(self, task, parameters):
+        self.simulated += len(task.time)
+        x = parameters.get("x", 0.0) * np.exp(-parameters.get("rate", 1.0) * task.time)
+        return np.tile(x, (len(task.outputs), 1))
+
+
+@pytest.mark.parametrize(("rate", "share"), [(1.0, 0.2), (0.9, 0.2), (0.1, 1.0)])
+def test_states_are_fitted_to_the_samples_that_depend_on_them(rate, share):
+    time, rng = np.arange(0.0, 100.0, 0.1), np.random.default_rng(0)
+    truth = 2.0 * np.exp(-rate * time) + 0.1 * rng.standard_normal(len(time))
+    model, task = Fading(), Task(time, {}, ("y",))
+    cut = Segmented(model, task, np.inf, truth[None], np.ones((1, len(time))), at={})
+    assert cut.segments == 1
+    model.simulated = 0
+    (x,) = cut.initial_states({"rate": rate})[0]
+    response = np.exp(-rate * time)
+    assert x == pytest.approx(response @ truth / (response @ response), abs=1e-3)  # 0.05 is its standard error
+    assert (model.simulated < 3 * share * len(time)) == (share < 1.0)
+
+
 def test_residuals_of_segments_count_at_least_one_by_one(trolley_fmu):
     """However coloured a segment's residuals are, another segment does not share them."""
     slow = {f"run_{k}": driven(k, drift=0.5) for k in range(3)}

@@ -45,6 +45,8 @@ _SHARE = 0.9  # share of the segments that must stay within it
 _LARGE = 1e12
 _MOST_PIECES = 200  # largest number of pieces for analysing the growth of errors
 _KEPT = 6  # layouts of tasks kept in memory
+_FORGOTTEN = 1e-4  # relative to the largest response to an initial state: smaller ones move its estimate by 1e-4
+_BEYOND = 1.2  # times the samples until then have to be seen, and again for parameters that forget more slowly
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,7 @@ class Growth:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cut:
     first: tuple[int, ...]  # first sample of each segment, and the end
+    fit: tuple[int, ...]  # the end of each segment's samples to which its states are fitted
     guess: FloatArray  # (segments, states)
     scale: FloatArray  # (states,) their range
     growth: Growth | None = None
@@ -156,7 +159,7 @@ class Segmented(Wrapped):
         self._states = states_of(simulator, whole=length == math.inf)
         self.exact = simulator.differentiates(set(self.states))
         self._cut: _Cut | None = None
-        self._pieces: OrderedDict[int, tuple[Task, list[_Piece]]] = OrderedDict()
+        self._pieces: OrderedDict[tuple[int, tuple[int, ...]], tuple[Task, list[_Piece]]] = OrderedDict()
         self._others: dict[int, Segmented] = {}
         self.missing: tuple[str, ...] = ()
         self._begin: _Begin | None = None
@@ -271,16 +274,8 @@ class Segmented(Wrapped):
         task = self.task if task is None else task
         key = _Begin(self, task, parameters).digest
         if key not in self._known:
-            cut, pieces = self._layout(), self._tasks(task)
-            parts = [slice(a, b) for a, b in pairwise(cut.first)]
-            self._known[key] = read_only(
-                np.array(
-                    [
-                        self._fitted(piece, part, guess, cut.scale, parameters)
-                        for piece, part, guess in zip(pieces, parts, cut.guess, strict=True)
-                    ]
-                )
-            )
+            fits = range(self.segments)
+            self._known[key] = read_only(np.array([self._best_start(task, k, parameters) for k in fits]))
             while len(self._known) > _KEPT:
                 self._known.popitem(last=False)
         return self._known[key]
@@ -290,10 +285,30 @@ class Segmented(Wrapped):
 
     # One segment
 
+    def _best_start(self, task: Task, k: int, parameters: Mapping[str, float]) -> FloatArray:
+        """Return the initial states of segment `k`: those that fit its samples until it forgets where it began."""
+        cut = self._layout()
+        begin, end, states = cut.first[k], cut.first[k + 1], cut.guess[k]
+        if cut.fit[k] < end:
+            part = slice(begin, cut.fit[k])
+            piece = self._tasks(task, cut.fit)[k]
+            states, slopes = self._fitted(piece, part, states, cut.scale, parameters)
+            if self._remembered(slopes, part, _BEYOND) < part.stop:
+                return states
+        return self._fitted(self._tasks(task)[k], slice(begin, end), states, cut.scale, parameters)[0]
+
+    def _remembered(self, slopes: FloatArray, part: slice, beyond: float) -> int:
+        """Return the end of the samples that depend on the initial states, and of `beyond` times as many."""
+        weight = self.weight[:, part]
+        counts = np.max(np.abs(weight * slopes[:, : len(weight), : weight.shape[1]]), axis=1)
+        left = np.any(counts > _FORGOTTEN * np.max(counts, axis=1, keepdims=True), axis=0)
+        last = int(np.max(np.flatnonzero(left), initial=0))
+        return min(int(part.start) + math.ceil(beyond * (last + 1)), int(part.stop))
+
     def _fitted(
         self, piece: _Piece, part: slice, guess: FloatArray, scale: FloatArray, parameters: Mapping[str, float]
-    ) -> FloatArray:
-        """Return the states that fit a segment's samples.
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the states that fit a segment's samples, and derivatives of the run by them nearby.
 
         `part` are the judged samples, the first ones of the piece. Slopes are kept while the steps that they give
         gain about what they promise; the last step is taken with those at its end.
@@ -327,7 +342,7 @@ class Segmented(Wrapped):
             if bent > _BENT:
                 run, slopes = self._sloped(piece, parameters, states, scale)
                 error, current = errors(run), True
-        return states
+        return states, slopes
 
     def _projected(
         self, piece: _Piece, part: slice, states: FloatArray, scale: FloatArray, parameters: Mapping[str, float]
@@ -377,11 +392,13 @@ class Segmented(Wrapped):
                 moved = errors(run)
             except SimulationError:
                 moved = np.array([np.inf])
-            gained = float(error @ error - moved @ moved)
+            gained, left = float(error @ error - moved @ moved), error + matrix @ step
+            promised = float(error @ error - left @ left)
             if gained > 0.0:
-                left = error + matrix @ step
-                bent = abs(gained / float(error @ error - left @ left) - 1.0)
+                bent = abs(gained / promised - 1.0)
                 return states + step, run, moved, 0.1 * damping if damping > _DAMPING else 0.0, bent
+            if promised <= _LAST * float(error @ error):
+                return None
             damping = max(10.0 * damping, _DAMPING)
         return None
 
@@ -422,15 +439,21 @@ class Segmented(Wrapped):
             self._cut = self._cut_out()
         return self._cut
 
-    def _tasks(self, task: Task) -> list[_Piece]:
-        """Return the tasks of the segments, the same objects for the same task: simulators prepare them."""
-        if id(task) not in self._pieces:
+    def _tasks(self, task: Task, ends: tuple[int, ...] = ()) -> list[_Piece]:
+        """Return the tasks of the segments, or of their beginnings up to `ends`.
+
+        They are the same objects for the same task: simulators prepare them.
+        """
+        key = id(task), ends
+        if key not in self._pieces:
             first = self._layout().first
-            made = [self._piece(task, a, b) for a, b in pairwise(first)]
-            self._pieces[id(task)] = task, made
-            while len(self._pieces) > _KEPT:
+            self._pieces[key] = (
+                task,
+                [self._piece(task, a, b) for a, b in zip(first[:-1], ends or first[1:], strict=True)],
+            )
+            while len(self._pieces) > 2 * _KEPT:
                 self._pieces.popitem(last=False)
-        return self._pieces[id(task)][1]
+        return self._pieces[key][1]
 
     def _piece(self, task: Task, a: int, b: int, outputs: tuple[str, ...] | None = None) -> _Piece:
         by_state = tuple({s: 1.0} for s in self.states) if self.exact else ()
@@ -463,7 +486,7 @@ class Segmented(Wrapped):
     def _swept(self, first: Sequence[int]) -> tuple[_Cut, list[tuple[_Piece, FloatArray]]]:
         """Return the states found segment by segment, each starting where the last one ended, and the tasks."""
         outputs = (*self.task.outputs, *self.states)
-        n, scale, guess = len(self.task.outputs), np.zeros(len(self.states)), []
+        n, scale, guess, fit = len(self.task.outputs), np.zeros(len(self.states)), [], []
         begin = replace(
             self.task,
             time=self.task.time[:2],
@@ -477,13 +500,15 @@ class Segmented(Wrapped):
             for row, name in enumerate(self.task.outputs):
                 if name in self.states and self.weight[row, a] > 0.0:
                     state[self.states.index(name)] = self.target[row, a]
-            state = self._fitted(piece, slice(a, b), state, scale, self.at)
+            state, slopes = self._fitted(piece, slice(a, b), state, scale, self.at)
+            fit.append(self._remembered(slopes, slice(a, b), _BEYOND**2))
             run = self._run(piece.plain, self.at, state)
             guess.append(state)
             pieces.append((piece, state))
             state = run[n : n + len(self.states), -1].copy()
         states = np.array(guess)
-        return _Cut(tuple(first), read_only(states), read_only(np.ptp(np.vstack([states, state]), axis=0))), pieces
+        scale = np.ptp(np.vstack([states, state]), axis=0)
+        return _Cut(tuple(first), tuple(fit), read_only(states), read_only(scale)), pieces
 
     def _growth(self, cut: _Cut, pieces: Sequence[tuple[_Piece, FloatArray]]) -> Growth:
         """Return how errors of 1 % grow from piece to piece along the measured run."""
