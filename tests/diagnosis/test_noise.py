@@ -72,19 +72,35 @@ def test_beside_large_errors_of_a_model_every_sample_counts_alike():
     np.testing.assert_allclose(after, 1.0 / observed.noise["bench"].variance[0], rtol=0.05)
 
 
-def test_without_repeats_an_error_that_all_runs_share_is_no_shift_of_a_sensor():
+@pytest.mark.parametrize("count", [3, 5])
+def test_without_repeats_an_error_that_all_runs_share_is_no_shift_of_a_sensor(count):
     rng = np.random.default_rng(4)
-    runs = [repeated(rng, repeats=1, name=f"run{k}") for k in range(5)]
+    runs = [repeated(rng, repeats=1, name=f"run{k}") for k in range(count)]
     observed = Observed.from_runs(runs)
     sigma = np.sqrt(observed.noise["bench"].variance)
-    shared = [run.mean + 2.0 * sigma[:, None] for run in runs]
-    assert gap(observed.residuals(shared), observed) == 0.0
-    known = observed.with_shifts(shared)
+    noise = sigma[:, None] * rng.standard_normal((count, 2, len(TIME)))
+    shared = [run.mean + 2.0 * sigma[:, None] + e for run, e in zip(runs, noise, strict=True)]
+    assert gap(observed.residuals(shared), observed) < 0.3
+    known = observed.bounded_by(shared, 2)
     assert gap(known.residuals(shared), known) > 0.9
-    shifted = [run.mean + 2.0 * sign * sigma[:, None] for run, sign in zip(runs, (1, -1, 1, -1, 1), strict=True)]
-    assert observed.with_shifts(shifted) is observed
-    few = Observed.from_runs(runs[:3])
-    assert few.with_shifts(shared[:3]) is few
+    shifted = [run.mean + 2.0 * sign * sigma[:, None] for run, sign in zip(runs, (1, -1, 1, -1, 1), strict=False)]
+    np.testing.assert_array_equal(
+        observed.bounded_by(shifted, 2).noise["bench"].mean_variance, observed.noise["bench"].mean_variance
+    )
+
+
+def test_without_repeats_noise_is_at_most_what_a_model_leaves():
+    rng = np.random.default_rng(5)
+    runs = [repeated(rng, repeats=1, name=f"run{k}") for k in range(3)]
+    observed = Observed.from_runs(runs)
+    plain = observed.noise["bench"]
+    errors = rng.standard_normal((3, *runs[0].mean.shape)) * np.sqrt(plain.variance)[:, None]
+    errors[:, 0] *= 0.5  # one signal less than its fast changes seem to show
+    errors[:, 1] *= 2.0
+    known = observed.bounded_by([run.mean + e for run, e in zip(runs, errors, strict=True)], 2).noise["bench"]
+    assert 0.25 < known.variance[0] / plain.variance[0] < 0.35
+    assert known.variance[1] == plain.variance[1]
+    np.testing.assert_allclose(known.covariance[0], np.diag(known.variance))
 
 
 def test_the_mean_of_a_run_has_a_variance_of_its_own():

@@ -224,9 +224,9 @@ def diagnose_subject(
     if clean is not subject:
         subject, observed = clean, clean.observed
         nominal = fit_effects(subject, (), [values]) or nominal
-    shifted = observed.with_shifts(_prediction(subject, nominal.fit.values))
-    if shifted is not observed:
-        subject, observed = replace(subject, observed=shifted), shifted
+    bounded = observed.bounded_by(_prediction(subject, nominal.fit.values), len(nominal.fit.unknowns))
+    if bounded is not observed:
+        subject, observed = replace(subject, observed=bounded), bounded
         nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
     if observed.nuisances:  # linearised at the start values so far
         observed = with_states(observed, model, nominal.fit.values)

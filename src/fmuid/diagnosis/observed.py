@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from fmuid.core.immutable import FloatArray
+from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.data.noise.runs import RepeatedRuns, cut
 from fmuid.data.noise.spectrum import PiecewiseWhitener, SetupNoise, Whitener, bandwidth, estimate_noise, whitener
 
@@ -37,7 +38,7 @@ def project_off(vectors: FloatArray, basis: FloatArray) -> FloatArray:
 _FEW = 4  # experiments: with fewer, too little remains when one is left out
 _PIECES = 6  # number of pieces that a run without repeats is then cut into
 _SHORTEST = 64  # samples in the shortest piece
-_EXCEEDED = 0.05  # probability that shifts of sensors from run to run exceed their bound
+_EXCEEDED = 0.05  # probability that noise exceeds the bound that a model's errors show
 _MOST_TAKEN = 0.5  # largest share of the components in the bandwidth that nuisances may take
 
 
@@ -106,29 +107,37 @@ class Observed:
             counts = np.sum([r.mask.sum(axis=1) for _, r in of_setup], axis=0)
             error = np.zeros(len(plain.channels))
             for left, run in of_setup:
-                beyond = np.sum(((left - _mean(left, run.mask)[:, None]) * run.mask) ** 2, axis=1)
+                beyond = _squares(left, run.mask, _mean(left, run.mask))
                 beyond -= run.mask.sum(axis=1) * plain.of_mean(run.n_repeats) ** 2
                 error += run.n_repeats * beyond / np.maximum(counts, 1.0)
             if np.any(error > plain.variance):
                 changed[setup] = plain.beside(np.maximum(error, 0.0))
         return Observed(self.runs, {**self.noise, **changed}, self.predicted) if changed else self
 
-    def with_shifts(self, predictions: Sequence[FloatArray]) -> Observed:
-        """Return the measurements with the shifts of sensors from run to run that runs without repeats show.
+    def bounded_by(self, predictions: Sequence[FloatArray], parameters: int) -> Observed:
+        """Return the measurements with the tighter bounds of their noise that a model's errors show.
 
-        Until a model is known, a run may be shifted by as much as its noise. The means of the model's errors then
-        scatter by at least as much as shifts do, and what all runs have in common is none. The measurements are
-        the same if this bound, which shifts exceed once in twenty times, is no tighter.
+        Until a model is known, a sample of a run without repeats may be off by what its fast changes show, and the
+        whole run be shifted by as much. A model's errors contain the noise and scatter by at least as much: those
+        of samples around the mean of their run, less `parameters` that were fitted, and those means from run to
+        run. What all runs have in common is no shift. Noise exceeds either bound once in twenty times. Errors of a
+        quarter of the noise may be numerical.
         """
-        changed = {}
+        changed, fitted = {}, parameters + sum(basis.shape[1] for basis in self.nuisances)
         for setup, plain, of_setup in self._errors(predictions):
-            if not plain.bounded or plain.pieces > 1 or len(of_setup) < _FEW:
+            if not plain.bounded:
                 continue
+            known = np.isfinite(of_setup[0][1].given)
             means = np.array([_mean(left, run.mask) for left, run in of_setup])
-            scatter = np.sum((means - means.mean(axis=0)) ** 2, axis=0)
-            bound = scatter / float(chdtri(len(of_setup) - 1, 1.0 - _EXCEEDED))
-            if np.any(bound < plain.mean_variance):
-                changed[setup] = replace(plain, mean_variance=np.minimum(plain.mean_variance, bound))
+            around = np.sum(
+                [_squares(left, run.mask, m) for (left, run), m in zip(of_setup, means, strict=True)], axis=0
+            )
+            samples = np.sum([run.mask.sum(axis=1) for _, run in of_setup], axis=0)
+            level = np.where(known, np.inf, _at_most(around, samples - len(means) - fitted))
+            level = np.maximum(level, GAP_THAT_MATTERS**2 * plain.variance)
+            shift = _at_most(np.sum((means - means.mean(axis=0)) ** 2, axis=0), len(means) - 1.0)
+            if np.any(level < plain.variance) or np.any(shift < plain.mean_variance):
+                changed[setup] = plain.at_most(level, shift)
         return replace(self, noise={**self.noise, **changed}) if changed else self
 
     def _errors(
@@ -236,6 +245,18 @@ class Observed:
 def _mean(values: FloatArray, mask: FloatArray) -> FloatArray:
     """Return the (C,) means of (C, N) values over the samples that there are."""
     return np.asarray(np.sum(values * mask, axis=1) / np.maximum(mask.sum(axis=1), 1.0))
+
+
+def _squares(values: FloatArray, mask: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return the (C,) sums of squares of (C, N) values around their mean."""
+    return np.asarray(np.sum(((values - mean[:, None]) * mask) ** 2, axis=1))
+
+
+def _at_most(squares: FloatArray, degrees_of_freedom: FloatArray | float) -> FloatArray:
+    """Return the variance that one with this sum of squares exceeds once in twenty times."""
+    there = np.asarray(degrees_of_freedom) > 0.0
+    least = chdtri(np.where(there, degrees_of_freedom, 1.0), 1.0 - _EXCEEDED)
+    return np.where(there, squares / least, np.inf)
 
 
 def _whitener(run: RepeatedRuns, noise: SetupNoise) -> Whitener | PiecewiseWhitener:

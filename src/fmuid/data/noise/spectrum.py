@@ -93,6 +93,17 @@ class SetupNoise:
             mean_variance=scale**2 * self.mean_variance,
         )
 
+    def at_most(self, variance: FloatArray, mean_variance: FloatArray) -> SetupNoise:
+        """Return the noise of a setup with (C,) bounds on the variance of a sample and of the mean of a run."""
+        variance = np.minimum(self.variance, variance)
+        scale = np.sqrt(variance / self.variance)
+        return replace(
+            self,
+            covariance=scale[:, None] * self.covariance * scale,
+            variance=variance,
+            mean_variance=np.minimum(self.mean_variance, mean_variance),
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
