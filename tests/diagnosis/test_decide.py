@@ -575,6 +575,21 @@ def test_a_law_at_implausible_bounds_hides_no_plausible_one_that_closes_as_much(
     assert plausible is (kept == ("drag",))
 
 
+def test_where_what_is_tolerated_is_most_of_the_gap_the_best_answer_that_closes_it_stands(monkeypatch):
+    """The delay closes no more than is tolerated, so a search leaves it out; the offset alone closes nothing."""
+    monkeypatch.setattr(decide, "strained", lambda *_: False)
+    offset, both = (
+        fitted(("offset",), 3.1, residuals=[[9.0], [9.0]]),
+        fitted(("offset", "delay"), 0.2, residuals=[[0.0], [0.0]]),
+    )
+    searched = SimpleNamespace(
+        nominal=fitted((), 3.0), best=offset, candidates=[both, offset], evidence=SimpleNamespace(present=True)
+    )
+    subject = SimpleNamespace(observed=RECORDED, effects=())
+    surviving, _ = diagnose._surviving(subject, searched, None)
+    assert [s.effects for s in surviving] == [both.effects]
+
+
 @pytest.mark.parametrize(
     ("scatter", "strained", "best"),
     [

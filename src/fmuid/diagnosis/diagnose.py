@@ -627,7 +627,8 @@ def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple
     best, candidates = searched.best, searched.candidates
     if searched.evidence.present:
         candidates = [c for c in candidates if closes(c)]
-        best = best if best is None or closes(best) else None
+        if best is not None and not closes(best):  # what is left may be tolerated, and yet be most of the gap
+            best = decide.best_of(candidates, subject.observed) if candidates else None
     if best is None:
         return (), False
     surviving = decide.survivors(best, candidates, subject.observed)
