@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from fmuid.core.errors import FmuidError, MeasurementsError
 from fmuid.core.experiments import Experiment, Measurements, Signal
@@ -443,6 +444,8 @@ def test_runs_whose_inputs_differ_by_noise_repeat_a_reference(tmp_path):
     [
         ({}, {}, True),
         ({"begin": 1.0}, {}, False),  # it begins elsewhere
+        ({"begin": 1.0, "rate": 20.0}, {}, False),  # and soon forgets it
+        ({"begin": 1.0, "rate": 0.0}, {}, True),  # its sensor is shifted
         ({"slow": 0.3}, {}, True),  # nothing says why it differs
         ({"slow": 0.3}, {"T": 5.0}, False),  # it was warmer
         ({"slow": 0.3}, {"T": 0.1}, True),  # hardly warmer
@@ -455,9 +458,9 @@ def test_runs_with_equal_inputs_are_no_repeats_where_a_log_says_why_they_differ(
     time = np.arange(200) * 0.01
     rng = np.random.default_rng(3)
 
-    def run(id, *, begin=0.0, slow=0.0, T=0.0, clock=0.0):
+    def run(id, *, begin=0.0, rate=1.0, slow=0.0, T=0.0, clock=0.0):
         u = np.sin(5 * time)
-        y = u + begin * np.exp(-time) + slow * time + 0.01 * rng.standard_normal(200)
+        y = u + begin * np.exp(-rate * time) + slow * time + 0.01 * rng.standard_normal(200)
         unused = {"T": Signal("T", 20 + T + np.sin(time), "degC", "input")}
         unused |= {"clock": Signal("clock", clock + time, "s", "input")}
         signals = {n: Signal(n, v, "1", c) for n, v, c in (("u", u, "input"), ("y", y, "output"))}
@@ -465,6 +468,18 @@ def test_runs_with_equal_inputs_are_no_repeats_where_a_log_says_why_they_differ(
 
     marked = with_repeats({r.id: r for r in (run("a"), run("b", **output, **column))})
     assert (marked["b"].repeat_of == "a") is repeats
+
+
+def test_slow_noise_is_neither_another_beginning_nor_another_condition():
+    time, rng, runs = np.arange(200) * 0.01, np.random.default_rng(3), {}
+    for pair in range(6):
+        u = np.sin((5 + pair) * time)
+        for k in "ab":
+            slow = lfilter([0.1], [1.0, -0.95], rng.standard_normal(400))[200:]
+            signals = {"u": Signal("u", u, "1", "input"), "y": Signal("y", u + slow, "1", "output")}
+            T = Signal("T", 20.0 + 5.0 * rng.standard_normal() + np.sin(time), "degC", "input")
+            runs[f"{pair}{k}"] = Experiment(f"{pair}{k}", "bench", time, signals, unused={"T": T})
+    assert [r.repeat_of for r in with_repeats(runs).values() if r.id.endswith("b")] == [f"{k}a" for k in range(6)]
 
 
 def test_runs_whose_clocks_differ_are_repeats(tmp_path):

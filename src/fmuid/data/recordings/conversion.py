@@ -27,6 +27,12 @@ _SAME_TIME = 1e-9  # of the usual step: times that differ by less are one time, 
 _STEP_APART = 1e-3  # of the shortest step: the distance of the two rows of a step
 _NEARLY = 0.05  # of a signal's standard deviation
 _SEEN = 4.0  # standard deviations of noise by which two runs begin apart: one false alarm in 10,000
+_TENTHS = 10  # parts of a run
+_STEADY = (
+    0.9  # share of a fall in what a course moves: a random walk that begins far away falls so once in 250 times
+)
+_GONE = 16.0  # ratio of energies: that of a random walk from anywhere exceeds it once in 60 times
+_UNUSUAL = 4.0  # ratio of energies: twice the usual difference
 _APART = 0.5  # of a column's standard deviation over all runs: nearer than that, it tells little of a difference
 
 
@@ -220,18 +226,27 @@ def with_repeats(experiments: Mapping[str, Experiment]) -> dict[str, Experiment]
 
     Clocks may begin at any time. A run whose inputs differ from an earlier one's by less than 5 % of their
     standard deviation, or whose sampling has jitter, repeats its reference: the two say hardly more than one of
-    them about what the model gets wrong. But where outputs differ by more than fast noise and the logs show a
-    reason, because the runs begin elsewhere or under other conditions, the difference is no noise.
+    them about what the model gets wrong. But where outputs differ by more than noise and the logs show a reason,
+    because the runs begin elsewhere or under other conditions, the difference is no noise. Noise is fast, or as
+    large as between runs that differ without a reason.
     """
     every = list(experiments.values())
     conditions = {n for e in every for n, s in e.unused.items() if not _counts(s.values)}
     courses = {n: np.concatenate([e.unused[n].values for e in every if n in e.unused]) for n in conditions}
     spread = {n: float(np.nanstd(values)) for n, values in courses.items() if np.isfinite(values).any()}
 
+    def reason(a: Experiment, b: Experiment) -> bool:
+        return _begin_apart(a, b) or _conditions_differ(a, b, spread)
+
+    slow: dict[str, list[float]] = {}
+    for k, b in enumerate(every):
+        a = next((e for e in every[:k] if _same_run(e, b, within=_NEARLY)), None)
+        for name, (x, y) in ({} if a is None or reason(a, b) else _shared(a.outputs, b.outputs)).items():
+            slow.setdefault(name, []).append(float(np.mean((x - y) ** 2)))
+    usual = {name: float(np.median(of_pairs)) for name, of_pairs in slow.items()}
+
     def repeats(a: Experiment, b: Experiment, within: float) -> bool:
-        return _same_run(a, b, within=within) and not (
-            _outputs_differ(a, b) and (_begin_apart(a, b) or _conditions_differ(a, b, spread))
-        )
+        return _same_run(a, b, within=within) and not (_outputs_differ(a, b, usual) and reason(a, b))
 
     marked: dict[str, Experiment] = {}
     for experiment in every:
@@ -254,17 +269,32 @@ def _shared(a: Mapping[str, Signal], b: Mapping[str, Signal]) -> dict[str, tuple
     return shared
 
 
-def _outputs_differ(a: Experiment, b: Experiment) -> bool:
-    """Return whether the outputs of two runs differ by more energy than twice that of their fast noise."""
-    return any(np.mean((x - y) ** 2) > 2.0 * _noise(x, y) for x, y in _shared(a.outputs, b.outputs).values())
+def _outputs_differ(a: Experiment, b: Experiment, usual: Mapping[str, float]) -> bool:
+    """Return whether outputs of two runs differ by twice the energy of their fast noise, and unusually."""
+    return any(
+        np.mean((x - y) ** 2) > max(2.0 * _noise(x, y), _UNUSUAL * usual.get(name, 0.0))
+        for name, (x, y) in _shared(a.outputs, b.outputs).items()
+    )
 
 
 def _begin_apart(a: Experiment, b: Experiment) -> bool:
-    """Return whether outputs of two runs begin apart: beyond their noise, and by 5 % of what they move."""
+    """Return whether outputs of two runs begin apart, and approach each other.
+
+    They begin apart by more than their noise, and than 5 % of what they move. Slow noise comes and goes.
+    """
     return any(
-        (x[0] - y[0]) ** 2 > _SEEN**2 * _noise(x, y) + (_NEARLY * max(np.std(x), np.std(y))) ** 2
+        (x[0] - y[0]) ** 2 > _SEEN**2 * _noise(x, y) + (_NEARLY * max(np.std(x), np.std(y))) ** 2 and _fades(x - y)
         for x, y in _shared(a.outputs, b.outputs).values()
     )
+
+
+def _fades(difference: FloatArray) -> bool:
+    """Return whether a course is largest in its first tenth and falls steadily, or is gone in its second half."""
+    tenths = np.array_split(difference, _TENTHS)
+    means = np.array([np.mean(tenth) for tenth in tenths])
+    steady = abs(means[0] - means[-1]) > _STEADY * np.sum(np.abs(np.diff(means)))
+    gone = np.mean(tenths[0] ** 2) > _GONE * np.mean(difference[len(difference) // 2 :] ** 2)
+    return bool((steady and np.argmax(np.abs(means)) == 0) or gone)
 
 
 def _conditions_differ(a: Experiment, b: Experiment, spread: Mapping[str, float]) -> bool:
