@@ -9,7 +9,9 @@ RUNS = {
 }
 
 
-def record(folder, extra, runs=RUNS, repeats=3, late=0, samples=360, noise=0.2, rng=np.random.default_rng(4)):
+def record(
+    folder, extra, runs=RUNS, repeats=3, late=0, heated=0.0, samples=360, noise=0.2, rng=np.random.default_rng(4)
+):
     folder.mkdir()
     for name, P in runs.items():
 
@@ -19,6 +21,6 @@ def record(folder, extra, runs=RUNS, repeats=3, late=0, samples=360, noise=0.2, 
 
         T = solve_ivp(slope, (0, TIME[-1]), [293.0], t_eval=TIME, max_step=2.5, rtol=1e-8).y[0]
         for k in range(repeats):
-            table = np.column_stack([TIME, P, T + rng.normal(0, noise, TIME.size)])
+            table = np.column_stack([TIME, P, T + heated * P + rng.normal(0, noise, TIME.size)])
             header = "time,P [W],T [K]"
             np.savetxt(folder / f"{name}_{k + 1}.csv", table[:samples], "%.5g", ",", header=header, comments="")
