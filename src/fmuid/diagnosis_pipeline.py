@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -70,14 +70,15 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
 
     That is a lag or delay of less than a sample, or crosstalk of an input: one that acts otherwise between its
     samples looks like it, and it undoes a time of reading that a missing law imitates. Timings are judged with the
-    laws of the answer. None if the diagnosis has neither, or if no other timing explains it.
+    laws and the other effects of the answer. None if the diagnosis has neither, or if no other timing explains it.
     """
     setups, model = {}, outcome.subject.model
     names = {without_owner(u.name) for u in outcome.subject.nominal}
     for setup in dict.fromkeys(case.setup for case in model.cases):
-        if not _may_be_timing(outcome, [case for case in model.cases if case.setup == setup]):
+        blamed = _may_be_timing(outcome, [case for case in model.cases if case.setup == setup])
+        if not blamed:
             continue
-        cases = [(c, v) for c, v in model.with_laws(outcome.corrected.fit.values) if c.setup == setup]
+        cases = [(c, v) for c, v in _shown_but_for(outcome, blamed) if c.setup == setup]
         convention, known = chosen(conventions_of(cases, names, runner)), campaign.models[setup]
         differs = (convention.timing, convention.read_after) != (known.timing, known.read_after)
         if differs and (convention.explains or known.read_after):
@@ -181,22 +182,36 @@ def _looked_again(
     return campaign, outcome
 
 
-def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> bool:
-    """Return whether the best answer has a lag or delay below a sample, or crosstalk of an input to an output."""
+def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> set[str]:
+    """Return the lags and delays below a sample of the best answer, and crosstalk of inputs to outputs."""
     step = min(float(np.median(np.diff(case.time))) for case in cases)
-    shown = {channel.signal for case in cases for channel in case.channels}
+    shown, blamed = {channel.signal for case in cases for channel in case.channels}, set()
     for name, value in outcome.corrected.fit.values.items():
         signal, prop = signal_and_property(name) or ("", "")
-        if prop in ("lag", "delay") and 0.0 < value < step:
-            return True
-        if (
-            prop.startswith("crosstalk[")
-            and value
-            and signal in shown
-            and prop[len("crosstalk[") : -1] not in shown
-        ):
-            return True
-    return False
+        of_input = prop.startswith("crosstalk[") and prop[len("crosstalk[") : -1] not in shown
+        if (prop in ("lag", "delay") and 0.0 < value < step) or (of_input and value and signal in shown):
+            blamed.add(name)
+    return blamed
+
+
+def _shown_but_for(outcome: Found, blamed: Collection[str]) -> list[tuple[Case, dict[str, float]]]:
+    """Return the cases with the laws of the best answer, and measurements without its effects on signals.
+
+    What is `blamed` stays in them.
+    """
+    model, values = outcome.subject.model, outcome.corrected.fit.values
+    cases = model.with_laws(values)
+    laws = {name: value for name, value in values.items() if signal_and_property(name) is None}
+    others = {name: value for name, value in values.items() if name not in blamed}
+    if others.keys() == laws.keys():
+        return cases
+    without = [
+        tuple(
+            replace(c, repeats=c.repeats - more + less) for c, more, less in zip(case.channels, *rows, strict=True)
+        )
+        for (case, _), *rows in zip(cases, *predicted(model, [others, laws]), strict=True)
+    ]
+    return [(replace(case, channels=c), starts) for (case, starts), c in zip(cases, without, strict=True)]
 
 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"

@@ -42,7 +42,9 @@ C = { start = 50.0, lower = 5.0, upper = 500.0 }
 TIME = np.arange(0.0, 200.0, 1.0)
 
 
-def retimed(tmp_path: Path, answer: dict[str, float], timing: str, after: tuple[str, ...] = ()):
+def retimed(
+    tmp_path: Path, answer: dict[str, float], timing: str, after: tuple[str, ...] = (), offset: float = 0.0
+):
     """What is made of the timing of a log that was written in some way, where a diagnosis has an answer."""
     (tmp_path / "Heater.mo").write_text(MODEL)
     model = load_fmu(build(tmp_path / "Heater.mo", "Heater", tmp_path, "2"))
@@ -50,6 +52,7 @@ def retimed(tmp_path: Path, answer: dict[str, float], timing: str, after: tuple[
     u = np.repeat(random.uniform(2.0, 24.0, 25), 8)
     y = model.simulate(Task(TIME, {"u": u}, ("i", "x"), after=after), {"R": 22.0, "C": 45.0})
     y += 0.01 * np.ptp(y, axis=1, keepdims=True) * random.normal(size=y.shape)
+    y[1] += offset
     signals = {n: Signal(n, row, "1", "output") for n, row in zip(("i", "x"), y, strict=True)}
     run = Experiment("run", "bench", TIME, {"u": Signal("u", u, "1", "input"), **signals})
     write_measurements(Measurements({"run": run}), tmp_path / "measurements.h5")
@@ -84,6 +87,13 @@ def test_what_the_timing_of_the_log_explains(
         assert changed is not None
         assert changed[0].models["bench"].timing == timing
         assert '\'bench\' was diagnosed with timing = "held-read-after" instead of "linear"' in changed[1]
+
+
+def test_the_timing_of_the_log_is_judged_beside_other_effects(tmp_path: Path) -> None:
+    """A sensor that shows too much leaves far more than the timing does."""
+    answer = {"x.delay": 0.4, "x.offset": 50.0}
+    campaign, _ = retimed(tmp_path, answer, '"linear"', after=("i", "x"), offset=50.0)
+    assert campaign.models["bench"].timing == "held-read-after"
 
 
 def test_a_time_of_reading_that_a_delay_undoes_is_none(tmp_path: Path) -> None:
