@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from fmuid.core.errors import ProblemError
+from fmuid.data.noise.outliers import just_moved, spikes_left
 from fmuid.data.noise.resolution import quantum, repeating_variance, rounding_errors
 from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.data.noise.spectrum import estimate_noise, whitener
@@ -70,6 +71,18 @@ def test_beside_large_errors_of_a_model_every_sample_counts_alike():
     assert before[0] < 0.1 * before[1]  # slow noise, and means that differ from run to run
     after = weights(observed.beside_errors([m + 100.0 * np.sin(7.0 * TIME) for m in means]))
     np.testing.assert_allclose(after, 1.0 / observed.noise["bench"].variance[0], rtol=0.05)
+
+
+@pytest.mark.parametrize(("spike", "jump", "left_out"), [(1.0, 0.0, True), (0.0, 1.0, False)])
+def test_a_spike_that_moves_an_input_through_a_controller_is_a_spike(spike, jump, left_out):
+    """A jump of the prediction that the run shows a sample later is none, although its input moves as well."""
+    rng, at = np.random.default_rng(3), 200
+    predicted = np.sin(3.0 * TIME) + jump * (np.arange(len(TIME)) >= at)
+    run = np.sin(3.0 * TIME) + jump * (np.arange(len(TIME)) > at) + 0.01 * rng.standard_normal(len(TIME))
+    run[at] += spike
+    stirred = just_moved([-20.0 * run], len(TIME))
+    assert stirred[at]
+    assert np.flatnonzero(spikes_left(run, predicted, stirred)).tolist() == ([at] if left_out else [])
 
 
 @pytest.mark.parametrize("count", [3, 5])

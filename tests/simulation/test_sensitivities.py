@@ -260,7 +260,7 @@ def test_a_diagnosis_takes_exact_derivatives(slider):
     (exact, a, once), (finite, b, always) = fits
     assert len(once) <= len(always)  # differences are taken at the end alone, of a plausible size
     assert set(once) == {len(unknowns)}
-    assert set(always) == {len(unknowns)}
+    assert set(always) <= {len(unknowns), 2 * len(unknowns)}  # to one side, and far to either side
     assert len(always) > 2
     assert exact.cost == pytest.approx(finite.cost, rel=1e-3)
     assert exact.values == pytest.approx(finite.values, rel=3e-2, abs=3e-3)

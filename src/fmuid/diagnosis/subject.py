@@ -268,7 +268,7 @@ def without_spikes(subject: Subject, predicted: Prediction, values: Mapping[str,
         if run.n_repeats > 1:
             continue
         stirred = just_moved([u[case.lead :] for u in case.task.inputs.values()], len(run.time))
-        spikes = np.array([spikes_left(left, stirred) for left in run.values[0] - prediction])
+        spikes = np.array([spikes_left(y, p, stirred) for y, p in zip(run.values[0], prediction, strict=True)])
         shown = zip(run.channels, spikes, strict=True)
         spiked += [Outliers(run.id, c, "spike", tuple(map(float, run.time[at]))) for c, at in shown if at.any()]
         runs[e] = replace(run, values=np.where(spikes, np.nan, run.values))

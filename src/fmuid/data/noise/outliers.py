@@ -84,12 +84,20 @@ def outliers(values: FloatArray, stirred: Mask) -> tuple[Mask, Mask]:
     return spikes, held
 
 
-def spikes_left(left: FloatArray, stirred: Mask) -> Mask:
-    """Return the (N,) mask of spikes of one sample in what a model leaves of a run.
+def spikes_left(run: FloatArray, predicted: FloatArray, stirred: Mask) -> Mask:
+    """Return the (N,) mask of spikes of one sample in what a prediction leaves of a run.
 
-    Longer ones may be what the model lacks. `stirred` is as for `outliers`.
+    Longer ones may be what the model lacks. `stirred` is as for `outliers`. Where an input has just moved, a spike
+    that is smaller than what the prediction moves nearby may come from it, late or early; a larger one has moved
+    the input itself, through a controller.
     """
-    spikes = _spikes(left, 0.0, _SPIKE_LEFT, longest=1) & ~stirred
+    left = run - predicted
+    spikes = _spikes(left, 0.0, _SPIKE_LEFT, longest=1)
+    moves = np.abs(np.diff(predicted, prepend=predicted[:1], append=predicted[-1:]))
+    nearby = np.max(sliding_window_view(np.pad(moves, 2 * _LONGEST), 4 * _LONGEST + 2), axis=1)
+    there = np.flatnonzero(spikes)
+    size = np.abs(left[there] - 0.5 * (left[there - 1] + left[there + 1]))
+    spikes[there] = ~stirred[there] | (size > nearby[there])
     enough = np.isfinite(left).sum() >= _WINDOW and spikes.sum() <= _MOST * len(left)
     return spikes if enough else np.zeros(len(left), dtype=bool)
 
