@@ -197,19 +197,21 @@ def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> set[str]:
 def _shown_but_for(outcome: Found, blamed: Collection[str]) -> list[tuple[Case, dict[str, float]]]:
     """Return the cases with the laws of the best answer, and measurements without its effects on signals.
 
-    What is `blamed` stays in them.
+    What is `blamed` stays in them. All effects do where nothing can be simulated without them.
     """
     model, values = outcome.subject.model, outcome.corrected.fit.values
     cases = model.with_laws(values)
     laws = {name: value for name, value in values.items() if signal_and_property(name) is None}
     others = {name: value for name, value in values.items() if name not in blamed}
-    if others.keys() == laws.keys():
+    predictions = model.predict([others, laws]) if others.keys() != laws.keys() else []
+    simulated = [one for one in predictions if not isinstance(one, SimulationError)]
+    if len(simulated) < 2:
         return cases
     without = [
         tuple(
             replace(c, repeats=c.repeats - more + less) for c, more, less in zip(case.channels, *rows, strict=True)
         )
-        for (case, _), *rows in zip(cases, *predicted(model, [others, laws]), strict=True)
+        for (case, _), *rows in zip(cases, *simulated, strict=True)
     ]
     return [(replace(case, channels=c), starts) for (case, starts), c in zip(cases, without, strict=True)]
 
