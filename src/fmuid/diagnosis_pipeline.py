@@ -197,7 +197,7 @@ def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> set[str]:
 def _shown_but_for(outcome: Found, blamed: Collection[str]) -> list[tuple[Case, dict[str, float]]]:
     """Return the cases with the laws of the best answer, and measurements without its effects on signals.
 
-    What is `blamed` stays in them. All effects do where nothing can be simulated without them.
+    What is `blamed` stays in them. If the model cannot be simulated without its effects on signals, all stay.
     """
     model, values = outcome.subject.model, outcome.corrected.fit.values
     cases = model.with_laws(values)

@@ -296,7 +296,7 @@ class _Campaign:
         return np.asarray(np.clip(x, self.lower, self.upper))
 
     def unscaled(self, z: FloatArray, start: FloatArray) -> FloatArray:
-        """Return a point by its scaled values: for those of `start` this itself, which they round."""
+        """Return the point with scaled values `z`; exactly `start` for its own, which rounding would move."""
         return start if np.array_equal(z, start / self.steps) else self.clipped(z * self.steps)
 
     def values(self, x: FloatArray) -> dict[str, float]:

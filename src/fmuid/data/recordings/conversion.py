@@ -28,9 +28,7 @@ _STEP_APART = 1e-3  # of the shortest step: the distance of the two rows of a st
 _NEARLY = 0.05  # of a signal's standard deviation
 _SEEN = 4.0  # standard deviations of noise by which two runs begin apart: one false alarm in 10,000
 _TENTHS = 10  # parts of a run
-_STEADY = (
-    0.9  # share of a fall in what a course moves: a random walk that begins far away falls so once in 250 times
-)
+_STEADY = 0.9  # share of a fall in what a course moves: a random walk from far away falls so once in 250 times
 _GONE = 16.0  # ratio of energies: that of a random walk from anywhere exceeds it once in 60 times
 _UNUSUAL = 4.0  # ratio of energies: twice the usual difference
 _APART = 0.5  # of a column's standard deviation over all runs: nearer than that, it tells little of a difference
