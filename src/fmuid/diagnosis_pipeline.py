@@ -75,7 +75,7 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
     setups, model = {}, outcome.subject.model
     names = {without_owner(u.name) for u in outcome.subject.nominal}
     for setup in dict.fromkeys(case.setup for case in model.cases):
-        blamed = _may_be_timing(outcome, [case for case in model.cases if case.setup == setup])
+        blamed = _imitating_timing(outcome, [case for case in model.cases if case.setup == setup])
         if not blamed:
             continue
         cases = [(c, v) for c, v in _shown_but_for(outcome, blamed) if c.setup == setup]
@@ -182,7 +182,7 @@ def _looked_again(
     return campaign, outcome
 
 
-def _may_be_timing(outcome: Found, cases: Sequence[Case]) -> set[str]:
+def _imitating_timing(outcome: Found, cases: Sequence[Case]) -> set[str]:
     """Return the lags and delays below a sample of the best answer, and crosstalk of inputs to outputs."""
     step = min(float(np.median(np.diff(case.time))) for case in cases)
     shown, blamed = {channel.signal for case in cases for channel in case.channels}, set()

@@ -13,7 +13,7 @@ from fmuid.core.campaign import CriterionSpec, ParameterSpec
 from fmuid.core.errors import FmuError
 from fmuid.core.formulas import parse
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis.observed import Observed
+from fmuid.diagnosis.observed import Observed, project_off
 from fmuid.diagnosis.refit import refit
 from fmuid.diagnosis.scores import score_effects
 from fmuid.effects.effect import Effect, Unknown
@@ -26,6 +26,7 @@ from fmuid.identification.solvers.search import Search, Status
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.pool.workers import WorkerPool
 from fmuid.simulation.runners import in_process
+from fmuid.simulation.segmented import Segmented
 from fmuid.simulation.simulator import Task
 
 MODEL = """
@@ -82,6 +83,29 @@ def test_derivatives_are_those_of_accurate_runs_through_reversals(slider):
         exact = (ends[0] - ends[1]) / 2e-4
         error = np.linalg.norm(rows - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.all(error < 2e-3), (direction, error)
+
+
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_inputs_move_along_directions_by_courses_of_their_own(slider, interpolation):
+    fmu = Fmu(slider)
+    assert fmu.moves_inputs
+    task = replace(TASK, interpolation=interpolation, tolerance=1e-12)
+    courses = np.array(
+        [np.ones(401), np.sin(9.0 * TIME), np.maximum(0.0, TIME - 1.0), np.sign(np.sin(14.0 * TIME))]
+    )
+    got = fmu.simulate(replace(task, along=({},) * 3 + ({"m": 0.5},), driven={"u": courses}), VALUES)
+    assert got[:2] == pytest.approx(fmu.simulate(task, VALUES), abs=1e-9)
+    for k, (course, rows) in enumerate(zip(courses, got[2:].reshape(-1, 2, len(TIME)), strict=True)):
+        ends = [
+            fmu.simulate(
+                replace(task, inputs={"u": task.inputs["u"] + s * 1e-4 * course}),
+                {**VALUES, "m": 0.8 + s * 0.5e-4 * (k == 3)},
+            )
+            for s in (1, -1)
+        ]
+        exact = (ends[0] - ends[1]) / 2e-4
+        error = np.linalg.norm(rows - exact, axis=1) / np.linalg.norm(exact, axis=1)
+        assert np.all(error < 2e-3), (k, error)
 
 
 def test_a_table_that_moves_as_one_has_the_sum_of_its_entries_derivatives(tmp_path):
@@ -281,3 +305,32 @@ def test_exact_derivatives_pass_through_effects_on_signals(slider):
         ends = ({**values, name: values[name] + step} for step in (1e-4, -1e-4))
         (above,), (below,) = (model.predict([end])[0] for end in ends)
         assert slope == pytest.approx((above - below) / 2e-4, rel=1e-3, abs=1e-3 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("segmented", [False, True])
+def test_one_run_gives_the_responses_to_many_courses_at_a_port(tmp_path, segmented):
+    fmu = made(
+        tmp_path,
+        MODEL.replace("input Real u;", "input Real u; input Real f(start = 0);").replace("= u -", "= u + f -"),
+    )
+    task = replace(TASK, tolerance=1e-10)
+    y = fmu.simulate(task, VALUES)
+    model = Segmented(fmu, task, 0.5, y, np.ones_like(y), at=VALUES) if segmented else fmu
+    batches = []
+    campaign = CampaignModel(
+        (measured_case("run", model, task, {name: y[[k]] for k, name in enumerate("xv")}),),
+        lambda asked: batches.append(len(asked)) or in_process(asked),
+    )
+    values = VALUES if segmented else {**VALUES, "v.crosstalk[x]": 0.2}
+    courses = [[np.ones(401)], [np.sin(9.0 * TIME)], [np.maximum(0.0, TIME - 1.0)]]
+    moved = campaign.moved_by(values, "f", 1e-3, courses)
+    assert batches == [1]
+    (base,) = campaign.predict([values], near=values)
+    driven = campaign.predict_driven(values, [{"f": [1e-3 * u for u in course]} for course in courses])
+    for (got,), (wanted,) in zip(moved, driven, strict=True):
+        response = wanted - base[0]
+        if segmented:  # what fits of the states explain is not in it
+            tangents = model.state_tangents(VALUES).reshape(-1, response.size).T
+            response = project_off(response.ravel(), np.linalg.qr(tangents)[0]).reshape(response.shape)
+            got = project_off(got.ravel(), np.linalg.qr(tangents)[0]).reshape(response.shape)
+        assert np.linalg.norm(got - response) < 0.04 * np.linalg.norm(response)

@@ -18,6 +18,7 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, squares_finite
 from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case
+from fmuid.simulation.band_limited import is_refined
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
 from fmuid.simulation.segmented import Segmented, in_place_of
@@ -138,6 +139,71 @@ class CampaignModel:
         Each drive maps an input to (N,) samples for every experiment.
         """
         return self._simulate([(values, drive) for drive in drives], values)
+
+    def moved_by(
+        self, values: Mapping[str, float], name: str, size: float, courses: Sequence[Sequence[FloatArray]]
+    ) -> list[Prediction | SimulationError]:
+        """Return by how much each course of a further input moves the predictions at `values`.
+
+        Parameters
+        ----------
+        values
+            The point.
+        name
+            The input, which some models may lack.
+        size
+            Its size.
+        courses
+            Each has (N,) samples for every experiment, times `size`.
+
+        Returns
+        -------
+        list
+            For each course, (C, N) for every experiment. One run with derivatives gives the responses to all
+            courses; a model without such runs is simulated with each of them, and without.
+        """
+        if (exact := self._moved_along(values, name, size, courses)) is not None:
+            return exact
+        drives = [{name: [size * u for u in course]} for course in courses]
+        (base,) = self.predict([values])
+        if isinstance(base, SimulationError):
+            return [base] * len(courses)
+        return [
+            o if isinstance(o, SimulationError) else tuple(a - b for a, b in zip(o, base, strict=True))
+            for o in self.predict_driven(values, drives)
+        ]
+
+    def _moved_along(
+        self, values: Mapping[str, float], name: str, size: float, courses: Sequence[Sequence[FloatArray]]
+    ) -> list[Prediction | SimulationError] | None:
+        """Return the responses of `moved_by` by derivatives; None if a model has none by its inputs."""
+        plain, effects = self._split(values)
+        posed: list[tuple[Job, Case, tuple[Effects, Disturbed | None]]] = []
+        for k, case in enumerate(self.cases_at(values)):
+            point, signal = self._placed(case, plain, effects)
+            simulator = self._simulator(case, point)
+            disturbed, task = self._pose(_Wanted(k, case, values), signal)
+            if name in simulator.variables:
+                lines = _draws_lines(case)
+                if not simulator.moves_inputs or len(task.time) != len(case.task.time) or is_refined(task):
+                    return None
+                moves = np.array([_led(case, np.asarray(course[k]), lines=lines) for course in courses])
+                linear = (*task.linear, name) if lines else task.linear
+                task = replace(task, along=({},) * len(courses), driven={name: moves}, linear=linear, shared=None)
+            posed.append(((simulator, task, point), case, (signal, disturbed)))
+        results: list[list[FloatArray]] = [[] for _ in courses]
+        for (job, case, outside), outcome in zip(posed, self.runner([job for job, *_ in posed]), strict=True):
+            if isinstance(outcome, SimulationError):
+                return None
+            n = len(case.task.outputs)
+            base, slopes = outcome[:n], outcome[n:].reshape(-1, n, outcome.shape[1])
+            if not job[1].driven:
+                slopes = np.zeros((len(courses), *base.shape))
+            for rows, slope in zip(results, slopes, strict=True):
+                ends = (base + 0.5 * size * slope, base - 0.5 * size * slope)
+                above, below = (self._shown(case, end, outside, plain) for end in ends)
+                rows.append(above - below)
+        return [tuple(rows) for rows in results]
 
     def cases_at(self, values: Mapping[str, float]) -> list[Case]:
         """Return the cases with the solver tolerances that a point needs."""
@@ -504,10 +570,7 @@ def _disturbed(
     driven = {}
     linear = _draws_lines(case)
     for name, series in (drive or {}).items():
-        values = np.asarray(series[index])
-        # A step of the model ends at a measured sample: what is held during the step is known at that sample.
-        if case.lead:
-            values = np.append(values[0], values) if linear else np.append(values, values[-1])
+        values = _led(case, np.asarray(series[index]), lines=linear)
         if np.any(values) or case.simulator.variables[name].start != 0.0:
             driven[name] = _lined(values, case.task.time) if linear else _held(values)
     names = [c.signal for c in case.channels]
@@ -522,6 +585,16 @@ def _disturbed(
         linear_drive=linear,
         variables=case.simulator.variables,
     )
+
+
+def _led(case: Case, values: FloatArray, *, lines: bool) -> FloatArray:
+    """Return an input's samples at the times of a case, which may begin before the first measured sample.
+
+    A step of the model ends at a measured sample: what is held during the step is known at that sample.
+    """
+    if not case.lead:
+        return values
+    return np.append(values[0], values) if lines else np.append(values, values[-1])
 
 
 def _draws_lines(case: Case) -> bool:

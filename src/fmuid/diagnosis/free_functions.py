@@ -126,12 +126,9 @@ def moved_by(
     if port.input is None:
         read = any(port.output in run.channels for run in observed.runs)
         return [_misread(observed, port, one) if read else None for one in basis]
-    drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
     return [
-        None
-        if isinstance(outcome, SimulationError)
-        else tuple(a - b for a, b in zip(observed.residuals(outcome), base.residuals, strict=True))
-        for outcome in model.predict_driven(base.values, drives)
+        None if isinstance(moved, SimulationError) else observed.whiten(moved)
+        for moved in model.moved_by(base.values, port.input, port.magnitude, basis)
     ]
 
 

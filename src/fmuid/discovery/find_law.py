@@ -50,7 +50,6 @@ _INTERVAL = 1.96  # standard errors: 95 %
 _POINTS = 101  # number of points of a curve
 _LATE = ("delay", "lag")  # effects of signals that a law may be mistaken for, and the reverse
 _TRIED_LATE = 2  # number of them that are tried with a law, most promising first
-_NOTHING = 0.05  # noise floors: a gap too small to prefer one law to another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -354,7 +353,7 @@ class _Search:
 
         left = [c for c in candidates if not any(d.rank <= c.rank and beyond(d, c) for d in candidates)]
         best = min(left, key=lambda c: c.fitted.held_out.mean)
-        most = decide.ABOUT_AS_WELL * best.fitted.held_out.gap + _NOTHING
+        most = decide.ABOUT_AS_WELL * best.fitted.held_out.gap + GAP_THAT_MATTERS
         alike = [
             c
             for c in left

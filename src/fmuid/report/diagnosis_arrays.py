@@ -266,13 +266,12 @@ def _ordinates(
     """
     observed = outcome.subject.observed
     assert port.input is not None
-    drives = [{port.input: [port.magnitude * b for b in one]} for one in basis]
-    outcomes = outcome.subject.model.predict_driven(fit.values, drives)
+    outcomes = outcome.subject.model.moved_by(fit.values, port.input, port.magnitude, basis)
     moved = [o for o in outcomes if not isinstance(o, SimulationError)]
     if len(moved) < len(outcomes):
         return None
     base = observed.residuals(prediction)
-    shown = [stack([a - b for a, b in zip(observed.residuals(m), base, strict=True)], observed) for m in moved]
+    shown = [stack(observed.whiten(m), observed) for m in moved]
     steps = np.array([fit.unknowns[k].step for k in columns])
     a = np.hstack([stack(fit.jacobian, observed)[:, columns] * steps, np.stack(shown, axis=1)])
     prior = np.concatenate([np.full(len(steps), 1e-3), np.full(len(basis), _PRIOR)])

@@ -302,11 +302,12 @@ class PreparedTask:
     def _differentiate(self, task: Task) -> None:
         """Set up the outputs' derivatives along directions."""
         plan, moved = self.plan, list(dict.fromkeys(name for along in task.along for name in along))
-        if self.library.model_exchange or not self.library.functions[FUNCTIONS.index("SET_DIRECTIONS")]:
+        needed = ("SET_DIRECTIONS", "SET_INPUT_DIRECTIONS") if task.driven else ("SET_DIRECTIONS",)
+        if self.library.model_exchange or not all(self.library.functions[FUNCTIONS.index(f)] for f in needed):
             raise FmuError(
                 "this FMU cannot differentiate its runs", where=self._where, fix="use finite differences"
             )
-        for name in [*moved, *task.outputs]:
+        for name in [*moved, *task.driven, *task.outputs]:
             if self._slots[name].suffix not in ("Real", "Float64") or self._slots[name].size != 1:
                 raise FmuError(
                     f"'{name}' is not a real scalar: it has no derivatives", where=self._where, fix="leave it out"
@@ -318,6 +319,14 @@ class PreparedTask:
         plan.output_references = self._pointer(np.array(references, dtype=np.uint32))
         plan.sensitivities = self._pointer(np.zeros((SAMPLES, len(task.outputs), len(task.along))))
         self.size *= 1 + len(task.along)
+        if task.driven:
+            plan.n_driven = len(task.driven)
+            plan.driven = self._pointer(np.array([self._slots[n].reference for n in task.driven], dtype=np.uint32))
+            seeds = np.stack([by_direction.T for by_direction in task.driven.values()], axis=1)
+            plan.seeds = self._pointer(np.ascontiguousarray(seeds))
+            plan.rates = self._pointer(np.zeros(seeds.shape[1:]))
+            lines = [plan.linear or name in task.linear for name in task.driven]
+            plan.driven_lines = self._pointer(np.array(lines, dtype=np.int32))
 
     def _interpolate(self, variables: Mapping[str, Variable], linear_inputs: bool) -> None:
         columns = [

@@ -30,7 +30,8 @@ class RecordedSimulations:
     """Predictions made for one result, each a record in a journal under a key of everything that it depends on.
 
     The key covers the model with its files, the task and the parameters, so interrupted work continues exactly
-    where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again.
+    where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again,
+    and neither is one whose inputs move along directions: to read it would take as long as to simulate again.
     Only positions in the file are held in memory. When the file has 96 MB, nothing more is recorded, and
     interrupted work repeats what came later.
 
@@ -89,7 +90,7 @@ class RecordedSimulations:
         JournalError
             The disk is full.
         """
-        if isinstance(outcome, Exception) or self._full:
+        if isinstance(outcome, Exception) or self._full or job[1].driven:
             return
         prediction = np.ascontiguousarray(outcome, dtype=np.float64)
         if self._journal.size + prediction.nbytes > _LARGEST:
@@ -100,7 +101,7 @@ class RecordedSimulations:
         self._places[key] = place
 
     def _recalled(self, job: Job) -> FloatArray | None:
-        place = self._places.get(self._key(job)) if self._places else None
+        place = self._places.get(self._key(job)) if self._places and not job[1].driven else None
         if place is None:
             return None
         _, shape, data = self._journal.read(place)

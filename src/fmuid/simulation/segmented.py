@@ -208,6 +208,11 @@ class Segmented(Wrapped):
         """Return whether the model can be differentiated with respect to the parameters `names` and its states."""
         return self.exact and self.simulator.differentiates({*names, *self.states})
 
+    @property
+    def moves_inputs(self) -> bool:
+        """Whether inputs of the model can move along directions."""
+        return self.exact and self.simulator.moves_inputs
+
     def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         """Return the concatenated predictions of the segments; see `Simulator`.
 
@@ -465,9 +470,12 @@ class Segmented(Wrapped):
             inputs={n: u[part] for n, u in fine.inputs.items()},
             outputs=outputs or task.outputs,
             along=(),
+            driven={},
         )
         sloped = replace(plain, along=by_state) if self.exact else plain
-        whole = replace(plain, along=by_state + task.along) if self.exact and task.along else sloped
+        driven = {n: np.vstack([np.zeros((len(by_state), b - a)), u[:, a:b]]) for n, u in task.driven.items()}
+        along = by_state + task.along
+        whole = replace(plain, along=along, driven=driven) if self.exact and task.along else sloped
         return _Piece(plain, sloped, whole)
 
     def _cut_out(self) -> _Cut:

@@ -81,6 +81,9 @@ class Task:
         Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
         derivatives of the outputs, direction by direction, below the outputs, so (1 + len(along)) * len(outputs)
         rows. Only for simulators for which `Simulator.differentiates` is true.
+    driven
+        Inputs that move along the directions too, by (directions, N) samples, which are held or interpolated as
+        the inputs are. Only for simulators for which `Simulator.moves_inputs` is true.
     linear
         Inputs that are interpolated although the others are held, where `Simulator.interpolates_inputs` is true.
     band_limited
@@ -106,6 +109,7 @@ class Task:
     interpolation: Interpolation = "hold"
     tolerance: float | None = None
     along: tuple[Mapping[str, float], ...] = ()
+    driven: Mapping[str, FloatArray] = field(default_factory=dict)
     feedback: Feedback | None = None
     linear: tuple[str, ...] = ()
     shared: tuple[int, int] | None = None
@@ -120,6 +124,7 @@ class Task:
         object.__setattr__(self, "inputs", frozen_mapping({k: read_only(v) for k, v in self.inputs.items()}))
         object.__setattr__(self, "start_values", frozen_mapping(self.start_values))
         object.__setattr__(self, "along", tuple(frozen_mapping(d) for d in self.along))
+        object.__setattr__(self, "driven", frozen_mapping({k: read_only(v) for k, v in self.driven.items()}))
 
     def sampled(self, values: FloatArray) -> FloatArray:
         """Return those of (..., points) values at the communication points that belong to the task's samples."""
@@ -238,6 +243,11 @@ class Simulator(ABC):
     def differentiates(self, names: Collection[str]) -> bool:
         """Return whether runs are differentiated exactly with respect to `names` (see `Task.along`)."""
         del names
+        return False
+
+    @property
+    def moves_inputs(self) -> bool:
+        """Whether inputs can move along directions in runs that are differentiated (see `Task.driven`)."""
         return False
 
 

@@ -58,6 +58,19 @@ static double *sensitivities_now(const Plan *plan)
     return plan->sensitivities + plan->n_kept * plan->n_outputs * plan->n_directions;
 }
 
+/* How inputs move along the directions from a sample to the next. */
+static int32_t drive(Plan *plan, size_t k)
+{
+    if (plan->n_driven == 0) return DONE;
+    const size_t n = plan->n_directions, size = plan->n_driven * n;
+    const double *seed = plan->seeds + k * size;
+    for (size_t i = 0; k + 1 < plan->n_times && i < size; i++)
+        plan->rates[i] = plan->driven_lines[i / n] ? (seed[size + i] - seed[i]) / (plan->time[k + 1] - plan->time[k]) : 0;
+    CALL(SET_INPUT_DIRECTIONS, int32_t (*)(Instance, const uint32_t *, size_t, const double *, const double *),
+         plan->instance, plan->driven, plan->n_driven, seed, plan->rates);
+    return DONE;
+}
+
 /* Let the inputs of the sample act, and read again the outputs that a machine reads after that. */
 static int32_t read_after(Plan *plan, size_t k)
 {
@@ -67,6 +80,7 @@ static int32_t read_after(Plan *plan, size_t k)
         TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs + k * plan->n_inputs));
     TRY(get_groups(plan, plan->row, true));
     if (plan->n_directions == 0) return DONE;
+    TRY(drive(plan, k));
     for (const Group *g = plan->output_groups; g < plan->output_groups + plan->n_output_groups; g++)
         for (int32_t i = 0; g->after && i < g->n_columns; i++) {
             size_t j = (size_t)g->column[i];
@@ -141,6 +155,7 @@ static int32_t initialise(Plan *plan)
 {
     TRY(enter_initialisation(plan));
     TRY(set_values(plan, plan->input_groups, plan->n_input_groups, plan->inputs));
+    TRY(drive(plan, 0));
     CALL(EXIT_INITIALIZATION, Plain, plan->instance);
     return DONE;
 }
@@ -188,6 +203,7 @@ int32_t do_step(Plan *plan, size_t k)
     const double size = plan->time[k + 1] - plan->time[k];
     if (fixed == 0) {
         TRY(set_values(plan, plan->input_groups, plan->n_input_groups, u));
+        TRY(drive(plan, k));
         TRY(move_inputs(plan, u, size));
         return advance(plan, plan->fmi, plan->time[k], size);
     }

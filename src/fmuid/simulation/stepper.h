@@ -73,6 +73,11 @@ typedef struct {
     const uint32_t *output_references; /* (n_outputs) */
     double *sensitivities;             /* scratch, (SAMPLES, n_outputs, n_directions) ... */
     size_t n_kept;                     /* ... samples in it that are not among the outputs yet */
+    size_t n_driven;                   /* inputs that move along the directions ... */
+    const uint32_t *driven;            /* (n_driven) */
+    const int32_t *driven_lines;       /* (n_driven) ... on lines between the samples, else held */
+    const double *seeds;               /* (n_times, n_driven, n_directions) */
+    double *rates;                     /* scratch, (n_driven, n_directions) */
     /* output feedback of model exchange: x += gain (measured - outputs) at every communication point */
     const double *measured; /* (n_outputs, length of the task), NaN: nothing to correct by; NULL: no feedback */
     const double *gain;     /* (n_states, n_outputs) */
