@@ -16,6 +16,7 @@ from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Quantity, Shape, library
 from fmuid.discovery.terms import Term as LawTerm
 from fmuid.effects.effects_file import load_catalogue
+from fmuid.identification.problem.cases import RUN_TIME
 from tests.diagnosis.test_made_catalogue import RIGS
 
 TIME = np.linspace(0.0, 10.0, 2001)
@@ -61,6 +62,12 @@ def test_a_hidden_state_follows_what_heats_it():
     assert term.state(COURSES, TIME, {"lag": 4.0})[-1] == pytest.approx(
         (1 - np.exp(-1.25)) * np.exp(-1.25), abs=2e-3
     )
+
+
+def test_a_law_over_the_time_since_a_run_began_has_it_as_an_input():
+    since = Quantity(RUN_TIME, RUN_TIME, "s", 10.0, 0.0, 10.0)
+    assert law(LawTerm(f"({RUN_TIME}/10)*(rate/5)", 2, since)).effect("a", "b").inputs == {RUN_TIME: "s"}
+    assert law(LawTerm("(rate/5)", 1, SPEED)).effect("a", "b").inputs == {}
 
 
 def test_terms_can_be_put_into_a_model():

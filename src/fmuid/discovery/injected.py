@@ -21,7 +21,7 @@ from fmuid.diagnosis.variants import with_laws as at_states
 from fmuid.discovery.places import Spot
 from fmuid.discovery.terms import HIDDEN, Term, names_in
 from fmuid.effects.effect import Catalogue, Effect, Unknown
-from fmuid.identification.problem.cases import LOGGED
+from fmuid.identification.problem.cases import LOGGED, RUN_TIME
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.segmented import in_place_of
 from fmuid.simulation.simulator import Simulator
@@ -129,7 +129,7 @@ class Law:
         used = frozenset().union(
             *(names_in(text) for term in self.terms for text in (term.text, term.rate) if text)
         )
-        inputs = {q.name: q.unit for q in self.spot.quantities if q.name in used and q.name.startswith(LOGGED)}
+        logged = {q.name: q.unit for q in self.spot.quantities if q.name.startswith(LOGGED)} | {RUN_TIME: "s"}
         return Effect(
             id=id,
             description=description,
@@ -145,7 +145,7 @@ class Law:
             acts="parameter" if self.spot.port.kind == "parameter" else "flow",
             states=self.states,
             variant=True,
-            inputs=inputs,
+            inputs={name: unit for name, unit in logged.items() if name in used},
         )
 
 
