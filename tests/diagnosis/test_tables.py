@@ -155,7 +155,7 @@ def test_a_table_rises_only_where_a_monotone_one_predicts_as_well(tmp_path):
     """Two fans that start at 299 K and 309 K."""
     answer, out = diagnosed(
         tmp_path,
-        lambda value, wind: 30.0 * (np.tanh((value - 299.0) / 0.8) + np.tanh((value - 309.0) / 0.8)),
+        lambda value, wind: 30.0 * (np.tanh((value - 299.0) / 1.6) + np.tanh((value - 309.0) / 1.6)),
         repeats=2,
     )
     (learned,) = answer["refinements"]

@@ -19,7 +19,6 @@ from tests.diagnosis.test_tables import diagnosed as room_diagnosed
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 from tests.known_rigs.logs import Recording, drawn_factors, write_logs
 from tests.known_rigs.plant import Extra
-from tests.known_rigs.tanks import TANKS
 from tests.known_rigs.thermal_block import THERMAL_BLOCK as BLOCK
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
@@ -108,17 +107,6 @@ def test_a_course_that_nothing_in_the_model_knows_gets_no_equation_but_a_reason(
     assert answer["law_found"]["formula"] is None
     assert answer["law_found"]["reason"] in capsys.readouterr().out
     assert answer["refinements"] == []
-
-
-@pytest.mark.slow
-def test_a_law_is_looked_for_where_the_effect_that_is_named_leaves_more_than_noise(tmp_path):
-    # An outflow with the cube of the level is much like a leakage.
-    law = Extra("upper", lambda values, *_: 4e-6 * (values["p"] / 0.3) ** 3)
-    answer, _ = diagnosed(dict.fromkeys(TANKS.inputs, law), tmp_path, rig=TANKS, repeats=3, seed=1)
-    assert answer["verdict"]["kind"] == "effect"
-    assert answer["verdict"]["rest"]["gap"] > 0.1
-    assert answer["law_found"]["formula"].endswith("(p/0.2)^3")
-    assert answer["law_found"]["closure"]["held_out"] > answer["answers"][0]["closure"]["held_out"]
 
 
 def line_of_lags(cells, lag):
