@@ -30,8 +30,7 @@ class RecordedSimulations:
     """Predictions made for one result, each a record in a journal under a key of everything that it depends on.
 
     The key covers the model with its files, the task and the parameters, so interrupted work continues exactly
-    where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again,
-    and neither is one whose inputs move along directions: to read it would take as long as to simulate again.
+    where it stopped, and no change of these is overlooked. A failed simulation is not recorded but tried again.
     Only positions in the file are held in memory. When the file has 96 MB, nothing more is recorded, and
     interrupted work repeats what came later.
 
@@ -90,7 +89,7 @@ class RecordedSimulations:
         JournalError
             The disk is full.
         """
-        if isinstance(outcome, Exception) or self._full or job[1].driven:
+        if isinstance(outcome, Exception) or self._full:
             return
         prediction = np.ascontiguousarray(outcome, dtype=np.float64)
         if self._journal.size + prediction.nbytes > _LARGEST:
@@ -101,7 +100,7 @@ class RecordedSimulations:
         self._places[key] = place
 
     def _recalled(self, job: Job) -> FloatArray | None:
-        place = self._places.get(self._key(job)) if self._places and not job[1].driven else None
+        place = self._places.get(self._key(job)) if self._places else None
         if place is None:
             return None
         _, shape, data = self._journal.read(place)
@@ -136,6 +135,7 @@ def digest_of_values(values: Mapping[str, float]) -> bytes:
 def digest_of_task(task: Task) -> bytes:
     """Return a digest of a task and its data."""
     along = b"".join(b"|" + digest_of_values(direction) for direction in task.along)
+    along += b"".join(name.encode() + b"\0" + moves.tobytes() for name, moves in sorted(task.driven.items()))
     return digest_without_along(task) + hashlib.blake2b(along, digest_size=16).digest()
 
 
