@@ -334,3 +334,23 @@ def test_one_run_gives_the_responses_to_many_courses_at_a_port(tmp_path, segment
             response = project_off(response.ravel(), np.linalg.qr(tangents)[0]).reshape(response.shape)
             got = project_off(got.ravel(), np.linalg.qr(tangents)[0]).reshape(response.shape)
         assert np.linalg.norm(got - response) < 0.04 * np.linalg.norm(response)
+
+
+def test_a_run_whose_model_has_no_such_port_is_not_moved_and_not_simulated(tmp_path, slider):
+    fmu = made(
+        tmp_path,
+        MODEL.replace("input Real u;", "input Real u; input Real f(start = 0);").replace("= u -", "= u + f -"),
+    )
+    cases = []
+    for name, model in (("without", Fmu(slider)), ("with", fmu)):
+        y = model.simulate(TASK, VALUES)
+        cases.append(measured_case(name, model, TASK, {n: y[[k]] for k, n in enumerate("xv")}))
+    simulated = []
+    campaign = CampaignModel(
+        tuple(cases), lambda asked: simulated.extend(job[0] for job in asked) or in_process(asked)
+    )
+    ((still, moved),) = campaign.moved_by(VALUES, "f", 1e-3, [[np.ones(401)] * 2])
+    assert simulated == [fmu]
+    assert not still.any()
+    assert still.shape == moved.shape
+    assert moved.any()

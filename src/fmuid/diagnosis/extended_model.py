@@ -18,7 +18,7 @@ from fmuid.data.noise.runs import RepeatedRuns
 from fmuid.diagnosis.observed import Observed, squares_finite
 from fmuid.effects.effect import Unknown
 from fmuid.identification.problem.cases import Case
-from fmuid.simulation.band_limited import is_refined
+from fmuid.simulation.band_limited import refined
 from fmuid.simulation.predictor import Predictor
 from fmuid.simulation.runners import Job, Outcome, Runner, in_process
 from fmuid.simulation.segmented import Segmented, in_place_of
@@ -178,31 +178,34 @@ class CampaignModel:
     ) -> list[Prediction | SimulationError] | None:
         """Return the responses of `moved_by` by derivatives; None if a model has none by its inputs."""
         plain, effects = self._split(values)
-        posed: list[tuple[Job, Case, tuple[Effects, Disturbed | None]]] = []
-        for k, case in enumerate(self.cases_at(values)):
+        cases = self.cases_at(values)
+        posed: list[tuple[Job, tuple[Effects, Disturbed | None]]] = []
+        moved = []
+        for k, case in enumerate(cases):
             point, signal = self._placed(case, plain, effects)
             simulator = self._simulator(case, point)
+            if name not in simulator.variables:
+                continue
             disturbed, task = self._pose(_Wanted(k, case, values), signal)
-            if name in simulator.variables:
-                lines = _draws_lines(case)
-                if not simulator.moves_inputs or len(task.time) != len(case.task.time) or is_refined(task):
-                    return None
-                moves = np.array([_led(case, np.asarray(course[k]), lines=lines) for course in courses])
-                linear = (*task.linear, name) if lines else task.linear
-                task = replace(task, along=({},) * len(courses), driven={name: moves}, linear=linear, shared=None)
-            posed.append(((simulator, task, point), case, (signal, disturbed)))
-        results: list[list[FloatArray]] = [[] for _ in courses]
-        for (job, case, outside), outcome in zip(posed, self.runner([job for job, *_ in posed]), strict=True):
+            more_points = len(task.time) != len(case.task.time) or refined(task, simulator.variables) is not task
+            if more_points or not simulator.moves_inputs:
+                return None
+            lines = _draws_lines(case)
+            moves = np.array([_led(case, np.asarray(course[k]), lines=lines) for course in courses])
+            linear = (*task.linear, name) if lines else task.linear
+            task = replace(task, along=({},) * len(courses), driven={name: moves}, linear=linear, shared=None)
+            posed.append(((simulator, task, point), (signal, disturbed)))
+            moved.append(k)
+        results = [[np.zeros((len(case.channels), len(case.time))) for case in cases] for _ in courses]
+        for k, (_, outside), outcome in zip(moved, posed, self.runner([job for job, _ in posed]), strict=True):
             if isinstance(outcome, SimulationError):
                 return None
-            n = len(case.task.outputs)
+            case, n = cases[k], len(cases[k].task.outputs)
             base, slopes = outcome[:n], outcome[n:].reshape(-1, n, outcome.shape[1])
-            if not job[1].driven:
-                slopes = np.zeros((len(courses), *base.shape))
             for rows, slope in zip(results, slopes, strict=True):
                 ends = (base + 0.5 * size * slope, base - 0.5 * size * slope)
                 above, below = (self._shown(case, end, outside, plain) for end in ends)
-                rows.append(above - below)
+                rows[k] = above - below
         return [tuple(rows) for rows in results]
 
     def cases_at(self, values: Mapping[str, float]) -> list[Case]:

@@ -24,11 +24,6 @@ _BETA = 8.0  # of the Kaiser window: errors below -80 dB
 _UNEVEN = 0.01  # deviation of a step from the mean one
 
 
-def is_refined(task: Task) -> bool:
-    """Return whether a simulation of a task may have more communication points than the task has."""
-    return bool(task.read_after or task.band_limited or task.interpolation == "band-limited" or task.every > 1)
-
-
 def refined(task: Task, variables: Mapping[str, Variable]) -> Task:
     """Return a task with more communication points, whose inputs are held or linear between them.
 

@@ -81,9 +81,6 @@ class Task:
         Directions along which to differentiate, each a weight by parameter. The prediction then also contains the
         derivatives of the outputs, direction by direction, below the outputs, so (1 + len(along)) * len(outputs)
         rows. Only for simulators for which `Simulator.differentiates` is true.
-    driven
-        Inputs that move along the directions too, by (directions, N) samples, which are held or interpolated as
-        the inputs are. Only for simulators for which `Simulator.moves_inputs` is true.
     linear
         Inputs that are interpolated although the others are held, where `Simulator.interpolates_inputs` is true.
     band_limited
@@ -98,6 +95,9 @@ class Task:
         if they depend on an input without delay.
     read_after
         Time from the inputs of a sample to the reading of its outputs, s, less than the step; 0 for none.
+    driven
+        Inputs that move along the directions too, by (directions, N) samples, which are held or interpolated as
+        the inputs are. Only for simulators for which `Simulator.moves_inputs` is true.
     feedback
         Output feedback, for FMUs with model exchange: outputs are then predictions from the preceding samples.
     """
@@ -109,7 +109,6 @@ class Task:
     interpolation: Interpolation = "hold"
     tolerance: float | None = None
     along: tuple[Mapping[str, float], ...] = ()
-    driven: Mapping[str, FloatArray] = field(default_factory=dict)
     feedback: Feedback | None = None
     linear: tuple[str, ...] = ()
     shared: tuple[int, int] | None = None
@@ -118,6 +117,7 @@ class Task:
     every: int = 1
     first: int = 0
     read_after: float = 0.0
+    driven: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", read_only(self.time))
