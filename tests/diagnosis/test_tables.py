@@ -151,11 +151,20 @@ def test_a_loss_of_another_shape_gets_a_table_over_temperature_from_single_runs(
 
 
 @pytest.mark.slow
-def test_a_table_rises_only_where_a_monotone_one_predicts_as_well(tmp_path):
+@pytest.mark.parametrize(
+    "width",
+    [
+        1.6,
+        pytest.param(
+            0.8, marks=pytest.mark.xfail(strict=True, reason="another table predicts left-out runs better")
+        ),
+    ],
+)
+def test_a_table_rises_only_where_a_monotone_one_predicts_as_well(tmp_path, width):
     """Two fans that start at 299 K and 309 K."""
     answer, out = diagnosed(
         tmp_path,
-        lambda value, wind: 30.0 * (np.tanh((value - 299.0) / 1.6) + np.tanh((value - 309.0) / 1.6)),
+        lambda value, wind: 30.0 * (np.tanh((value - 299.0) / width) + np.tanh((value - 309.0) / width)),
         repeats=2,
     )
     (learned,) = answer["refinements"]

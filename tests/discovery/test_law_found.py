@@ -19,6 +19,7 @@ from tests.diagnosis.test_tables import diagnosed as room_diagnosed
 from tests.diagnosis.test_varying import ROOM, SAMPLES, STEP
 from tests.known_rigs.logs import Recording, drawn_factors, write_logs
 from tests.known_rigs.plant import Extra
+from tests.known_rigs.tanks import TANKS
 from tests.known_rigs.thermal_block import THERMAL_BLOCK as BLOCK
 
 SCHEMA = json.loads((files("fmuid.diagnosis") / "diagnosis.schema.json").read_text())
@@ -75,12 +76,12 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="ambiguous: a conductance that grows is left open beside the radiation")
 def test_a_law_at_a_component_is_a_coefficient_that_varies_beside_another_effect(tmp_path):
     """A flow in parallel to a wall that saturates: its conductance falls with its own flow."""
     law = Extra("wall", lambda values, *_: 1.5 * np.tanh(values["p"] / 8.0))
     answer, _ = diagnosed(dict.fromkeys(BLOCK.inputs, law), tmp_path, effect={"radiation": 1.2e-8}, repeats=3)
-    assert answer["verdict"]["effects"] == ["varies@wall.G(wall.a.Q)"]  # radiation is much like a conductance
-    assert answer["answers"][0]["effects"] == ["radiation@casing", "varies@wall.G(wall.a.Q)"]
+    assert answer["verdict"]["effects"] == ["radiation@casing", "varies@wall.G(wall.a.Q)"]
     assert answer["model"]["parameters"]["casing.radiation"] == pytest.approx(1.2e-8, rel=0.05)
     assert answer["gap"]["corrected"] < 0.25
 
@@ -107,6 +108,18 @@ def test_a_course_that_nothing_in_the_model_knows_gets_no_equation_but_a_reason(
     assert answer["law_found"]["formula"] is None
     assert answer["law_found"]["reason"] in capsys.readouterr().out
     assert answer["refinements"] == []
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="the pump's coefficient is named, closes 0.96, and ends the search")
+def test_a_law_is_looked_for_where_the_effect_that_is_named_leaves_more_than_noise(tmp_path):
+    # An outflow with the cube of the level is much like a leakage.
+    law = Extra("upper", lambda values, *_: 4e-6 * (values["p"] / 0.3) ** 3)
+    answer, _ = diagnosed(dict.fromkeys(TANKS.inputs, law), tmp_path, rig=TANKS, repeats=3, seed=1)
+    assert answer["verdict"]["kind"] == "effect"
+    assert answer["verdict"]["rest"]["gap"] > 0.1
+    assert answer["law_found"]["formula"].endswith("(p/0.2)^3")
+    assert answer["law_found"]["closure"]["held_out"] > answer["answers"][0]["closure"]["held_out"]
 
 
 def line_of_lags(cells, lag):
