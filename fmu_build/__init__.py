@@ -23,12 +23,12 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     return compile_(flat)
 
 
-def check_flat(flat: FlatModel) -> None:
-    """Raise the errors of a flat model's equations; see `fmu_build.compiler.check_flat`."""
+def check_flat(flat: FlatModel) -> int:
+    """Return the number of states of a flat model; see `fmu_build.compiler.check_flat`."""
     check_tools()
     from fmu_build.compiler import check_flat as check
 
-    check(flat)
+    return check(flat)
 
 
 def compile_modelica(file: Path, class_name: str, roots: Sequence[Path] = ()) -> CompiledModel:

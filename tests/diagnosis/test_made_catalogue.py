@@ -37,6 +37,7 @@ from fmuid.diagnosis.made_catalogue import (
 )
 from fmuid.diagnosis.subject import subject_of
 from fmuid.diagnosis.variants import Variants, carrier, left_out
+from fmuid.effects.effect import Unknown
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.effects.laws import laws
 from fmuid.simulation import model_source
@@ -547,6 +548,26 @@ def test_laws_with_states_are_built_when_they_are_tried_and_off_they_agree_withi
     assert tried is variants.simulator("drive", {"shaft.hysteresis": 0.1})  # one model for all of them
     a, b = plain.simulate(task, {}), tried.simulate(task, {})
     assert np.abs(a - b).max() < 1e-4 * np.abs(a).max()
+
+
+def test_an_effect_that_makes_other_states_shares_no_model_with_effects_that_are_tried_while_it_is_off(geared):
+    catalogue, shared, plain, task = geared
+    size = "gear.ratio.varies"
+    given = catalogue.effects["inertia@load"]
+    yielding = replace(  # the gear's ends turn apart under torque, so that both are states
+        given,
+        id="varies@gear.ratio(gear.a.tau)",
+        port="gear.ratio",
+        acts="parameter",
+        expression=f"p*(1 + {size}*gear.a.tau)",
+        unknowns=(Unknown(size, 0.0, -1.0, 1.0, 0.01),),
+        neutral={size: 0.0},
+    )
+    variants = replace(shared, catalogue=replace(catalogue, effects={**catalogue.effects, yielding.id: yielding}))
+    together, alone = (variants.simulator("drive", {name: 0.1}) for name in ("load.presliding", size))
+    assert size not in together.variables
+    assert np.isfinite(together.simulate(task, {"load.presliding": 0.1})).all()
+    assert len(alone.states) > len(plain.states)
 
 
 def test_bristles_hold_against_a_small_torque_and_slide_under_a_larger_one(geared):

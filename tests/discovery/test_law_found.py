@@ -76,7 +76,7 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="ambiguous: a conductance that grows is left open beside the radiation")
+@pytest.mark.xfail(strict=True, reason="ambiguous: radiation, or a conductance that grows")
 def test_a_law_at_a_component_is_a_coefficient_that_varies_beside_another_effect(tmp_path):
     """A flow in parallel to a wall that saturates: its conductance falls with its own flow."""
     law = Extra("wall", lambda values, *_: 1.5 * np.tanh(values["p"] / 8.0))

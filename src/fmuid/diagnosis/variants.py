@@ -78,11 +78,13 @@ class _Addition:
     names: Sequence[Added]
 
 
-def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str]) -> Path:
+def _built(
+    source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Collection[str], most: int | None = None
+) -> Path:
     """Build a model with the additions of a catalogue; effects that make variants only if `tried`.
 
     What the model cannot be built with is left out with its parameters: an input of a signal that the model
-    differentiates, say, or a law that decides how many states there are.
+    differentiates, say, or with `most` a law with which the model has more states than those and the law's own.
     """
     known = places(flat)
     inside = effects_inside(source)
@@ -101,31 +103,44 @@ def _built(source: ModelSource, flat: FlatModel, catalogue: Catalogue, tried: Co
             )
             every.append(_Addition([term], [Added(port.input, 0.0, port.unit, port.description, input=True)]))
 
-    return _with_what_fits(source, flat, every)
+    return _with_what_fits(source, flat, every, most)
 
 
-def _with_what_fits(source: ModelSource, flat: FlatModel, additions: Sequence[_Addition]) -> Path:
+def _with_what_fits(
+    source: ModelSource, flat: FlatModel, additions: Sequence[_Addition], most: int | None
+) -> Path:
     """Build a model with those of the additions with which it compiles; a wrong term is an error.
 
     Which ones these are is kept in the cache.
     """
-    known = fitting_with_terms(source, flat, *_together(additions))
+    known = fitting_with_terms(source, flat, *_together(additions), most)
     if known.is_file():
-        return _with_what_fits(source, flat, [additions[k] for k in json.loads(known.read_text())])
+        return _with_what_fits(source, flat, [additions[k] for k in json.loads(known.read_text())], most)
     try:
-        return built_with_terms(source, flat, *_together(additions))
+        file = built_with_terms(source, flat, *_together(additions))
+        _require_states(len(load_fmu(file).states), additions, most)
+        return file
     except ModelicaError as error:
         fitting = _without_input(additions, error)
-        if len(fitting) == len(additions):  # nearly all that do not fit do not fit alone, which takes less to find
-            fitting = [one for one in additions if not one.terms or _fitting(flat, [one])]
         if len(fitting) == len(additions):
             acting = sorted((one for one in additions if one.terms), key=lambda one: one.terms[0].where)  # by law
-            kept = _fitting(flat, acting)
+            kept = _fitting(flat, acting, most, None)  # nearly all that do not fit do not fit alone
+            kept = _fitting(flat, acting, most) if len(kept) == len(acting) else kept
             fitting = [one for one in additions if not one.terms or one in kept]
         if len(fitting) == len(additions) or not any(one.terms for one in fitting):
             raise
     write_atomically(known, json.dumps([k for k, one in enumerate(additions) if one in fitting]))
-    return _with_what_fits(source, flat, fitting)
+    return _with_what_fits(source, flat, fitting, most)
+
+
+def _require_states(states: int, additions: Iterable[_Addition], most: int | None) -> None:
+    """Raise an error if a model has more states than `most` and those of the additions.
+
+    If an effect makes a variable of the model a state, the equations are singular while the effect is off.
+    """
+    added = sum(len(term.states) for one in additions for term in one.terms)
+    if most is not None and states > most + added:
+        raise ModelicaError("the model has other states with it")
 
 
 def _together(additions: Iterable[_Addition]) -> tuple[list[Term], list[Added]]:
@@ -139,8 +154,12 @@ def _without_input(additions: Sequence[_Addition], error: ModelicaError) -> list
     return [one for one in additions if wanted not in {name.name for name in one.names}]
 
 
-def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_Addition] = ()) -> list[_Addition]:
+def _fitting(
+    flat: FlatModel, additions: Sequence[_Addition], most: int | None, before: Sequence[_Addition] | None = ()
+) -> list[_Addition]:
     """Return those of `additions` with which the model can be translated, together with those `before` them.
+
+    None stands for no others before any of them: what only fails together is then kept.
 
     Raises
     ------
@@ -148,19 +167,20 @@ def _fitting(flat: FlatModel, additions: Sequence[_Addition], before: Sequence[_
         A term is wrong by itself: it names what does not exist, or is not Modelica.
     """
     try:
-        check_flat(instrument(flat, *_together((*before, *additions))))
+        every = [*(before or ()), *additions]
+        _require_states(check_flat(instrument(flat, *_together(every))), every, most)
     except ModelicaError as error:
         fewer = _without_input(additions, error)
         if len(fewer) < len(additions):
-            return _fitting(flat, fewer, before)
+            return _fitting(flat, fewer, most, before)
         if len(additions) <= 1:
             instrument(flat, *_together(additions))
             return []
     else:
         return [*additions]
     half = len(additions) // 2
-    first = _fitting(flat, additions[:half], before)
-    return [*first, *_fitting(flat, additions[half:], [*before, *first])]
+    first = _fitting(flat, additions[:half], most, before)
+    return [*first, *_fitting(flat, additions[half:], most, None if before is None else [*before, *first])]
 
 
 def left_out(models: Iterable[ModelSpec], catalogue: Catalogue, variables: Set[str]) -> dict[str, list[str]]:
@@ -191,7 +211,8 @@ class Variants:
     """Models with effects that change the model even while they are off, built when one is first tried.
 
     Effects that have states or are part of algebraic loops share a model, in which those that are off stand still.
-    Effects that cut connections, or that the shared model cannot be built with, get a model of their own.
+    Effects that cut connections or make states of the model's variables, and those that the shared model cannot be
+    built with, get a model of their own.
 
     Attributes
     ----------
@@ -204,7 +225,9 @@ class Variants:
     models: Mapping[str, ModelSpec]
     catalogue: Catalogue
     load: Callable[[ModelSpec], Simulator]
-    _loaded: dict[tuple[str, frozenset[str]], Simulator] = field(default_factory=dict, init=False, repr=False)
+    _loaded: dict[tuple[str, frozenset[str], int | None], Simulator] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @cached_property
     def _effects(self) -> tuple[Effect, ...]:
@@ -228,13 +251,13 @@ class Variants:
         uncut = any(e.acts != "cut" for e in on)
         shared = frozenset(e.id for e in self._effects if e in on or (uncut and e.acts != "cut"))
         alone = frozenset(e.id for e in on)  # where others change the equation in which a coefficient varies
-        for tried in dict.fromkeys((shared, alone)):
-            if (setup, tried) not in self._loaded:
-                model = self.models[setup]
-                assert model.source is not None
-                file = _built(model.source, flat_model(model.source), self.catalogue, tried)
-                self._loaded[setup, tried] = self.load(replace(model, fmu=file))
-            built = self._loaded[setup, tried]
+        model = self.models[setup]
+        assert model.source is not None
+        for tried, most in ((shared, len(load_fmu(model.fmu).states)), (alone, None)):
+            if (setup, tried, most) not in self._loaded:
+                file = _built(model.source, flat_model(model.source), self.catalogue, tried, most)
+                self._loaded[setup, tried, most] = self.load(replace(model, fmu=file))
+            built = self._loaded[setup, tried, most]
             lacking = [e.id for e in on if any(u.name not in built.variables for u in e.unknowns)]
             if not lacking:
                 return built

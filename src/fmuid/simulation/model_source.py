@@ -104,10 +104,11 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
 
 
 def fitting_with_terms(
-    source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added]
+    source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added], most: int | None
 ) -> Path:
-    """Return the file in the cache for the terms that fit, if the class cannot be built with all of them."""
-    return _with_terms(source, flat, terms, added).with_suffix(".json")
+    """Return the file in the cache for the terms that fit, if not all do; with `most`, that number of states."""
+    suffix = ".json" if most is None else f".{most}.json"
+    return _with_terms(source, flat, terms, added).with_suffix(suffix)
 
 
 def _with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term], added: Sequence[Added]) -> Path:
