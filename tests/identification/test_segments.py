@@ -10,7 +10,7 @@ from runaway import PENDULUM, TROLLEY, balanced, campaign, driven, pendulum_spec
 
 import fmu_build
 import fmuid
-from fmuid.core.errors import ProblemError
+from fmuid.core.errors import ProblemError, SimulationError
 from fmuid.identification.problem.estimation_problem import Problem
 from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.fmu import load_fmu
@@ -133,6 +133,25 @@ def test_the_states_of_a_segment_are_found_from_where_they_hardly_show():
     cut = Segmented(Humped(), task, np.inf, target, np.ones((1, 10)), at={})
     (x,) = cut.initial_states({})[0]
     assert x / (1.0 + x**2) == pytest.approx(0.3, abs=1e-4)
+
+
+class Flattened(Simulator):
+    """Its output depends the less on the state, the farther the state is from zero."""
+
+    states, variables = ("x",), {}
+
+    def simulate(self, task, parameters):
+        x = parameters.get("x", 1.0) + 0.1 * task.time
+        y = parameters["size"] * np.sqrt(np.abs(x))
+        return np.array([{"x": x, "y": y}[name] for name in task.outputs])
+
+
+def test_a_start_state_that_runs_away_is_a_failed_simulation():
+    task = Task(np.arange(10.0), {}, ("y",))
+    cut = Segmented(Flattened(), task, np.inf, np.full((1, 10), 2.0), np.ones((1, 10)), at={"size": 2.0})
+    assert np.abs(cut.simulate(task, {"size": 2.0}) - 2.0).max() < 0.6
+    with pytest.raises(SimulationError, match="'x' runs away"):
+        cut.simulate(task, {"size": 2e-8})
 
 
 class Fading(Simulator):

@@ -434,6 +434,8 @@ class Segmented(Wrapped):
         for i, size in enumerate(_DIFFERENCE * np.where(scale > 0.0, scale, np.maximum(np.abs(states), 1.0))):
             moved = states.copy()
             moved[i] += size
+            if moved[i] == states[i]:
+                raise SimulationError(f"the start state '{self.states[i]}' runs away, to {states[i]:.3g}")
             slopes.append((self._run(task, parameters, moved) - run) / (moved[i] - states[i]))
         return np.array(slopes)
 
