@@ -225,7 +225,7 @@ class Variants:
     models: Mapping[str, ModelSpec]
     catalogue: Catalogue
     load: Callable[[ModelSpec], Simulator]
-    _loaded: dict[tuple[str, frozenset[str], int | None], Simulator] = field(
+    _loaded: dict[tuple[str, frozenset[str], bool], Simulator] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -251,17 +251,22 @@ class Variants:
         uncut = any(e.acts != "cut" for e in on)
         shared = frozenset(e.id for e in self._effects if e in on or (uncut and e.acts != "cut"))
         alone = frozenset(e.id for e in on)  # where others change the equation in which a coefficient varies
-        model = self.models[setup]
-        assert model.source is not None
-        for tried, most in ((shared, len(load_fmu(model.fmu).states)), (alone, None)):
-            if (setup, tried, most) not in self._loaded:
-                file = _built(model.source, flat_model(model.source), self.catalogue, tried, most)
-                self._loaded[setup, tried, most] = self.load(replace(model, fmu=file))
-            built = self._loaded[setup, tried, most]
+        for tried in dict.fromkeys((shared, alone)):
+            key = setup, tried, tried == alone
+            if key not in self._loaded:
+                self._loaded[key] = self._build(self.models[setup], tried, others_off=tried != alone)
+            built = self._loaded[key]
             lacking = [e.id for e in on if any(u.name not in built.variables for u in e.unknowns)]
             if not lacking:
                 return built
         raise SimulationError(f"the model cannot be built with '{lacking[0]}'", where=setup)
+
+    def _build(self, model: ModelSpec, tried: frozenset[str], *, others_off: bool) -> Simulator:
+        """Build a model with effects, some of which may be off."""
+        assert model.source is not None
+        most = len(load_fmu(model.fmu).states) if others_off else None
+        file = _built(model.source, flat_model(model.source), self.catalogue, tried, most)
+        return self.load(replace(model, fmu=file))
 
 
 def _is_on(effect: Effect, values: Mapping[str, float]) -> bool:
