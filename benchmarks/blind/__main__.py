@@ -3,7 +3,7 @@
 run SEED      draw cases, diagnose each in a process of its own that knows nothing of its label; continues
 publish SEED  write what is committed of a seed: `benchmarks/blind/published/<seed>/`
 page          write docs/blind.md, and a page on every case of a seed, from what is published
-calibrate SEED  continue the shipped calibration with the rehearsal of a published seed
+calibrate SEED ...  fit the shipped calibration to the published cases of seeds
 agreement SEED  compare random rigs with their models, before any diagnosis
 verify        recompute the page from what is committed, and logs and labels of some cases from their seeds
 """
@@ -17,11 +17,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from scipy.special import expit, logit
 
 from benchmarks.blind.agreement import disagreements
 from benchmarks.blind.plants.cases import CHECK, REHEARSAL, STRATA, draw_case, measured, numbers, write_case
@@ -115,26 +116,24 @@ def _measure(target: Path, labels: Iterable[Mapping[str, Any]]) -> None:
             lines.flush()
 
 
-def calibrate(seed: int) -> None:
-    """Continue the curves of the shipped calibration with a seed's rehearsal, and write them in its place."""
+def calibrate(seeds: Sequence[int]) -> None:
+    """Write the shipped calibration: curves for all published cases of seeds, without those of their commits."""
     import fmuid.diagnosis
     from benchmarks.blind.page import read_published
-    from fmuid.diagnosis.calibration import Trial, fit_curves, shipped
+    from fmuid.diagnosis.calibration import Calibration, Trial, fit_curves
 
-    (chosen,) = (s for s in read_published(PUBLISHED) if s.seed == seed)
-    trials = [
-        Trial(case.kind, *case.claim)
-        for case in chosen.cases(0, REHEARSAL)
-        if case.answer and not case.label["twin_of"]
-    ]
-    before, after = shipped(), fit_curves(trials, "")
-    curves = dict(before.curves)
-    for kind, (offset, slope) in after.curves.items():
-        first, steep = before.curves.get(kind, (0.0, 1.0))
-        curves[kind] = (offset + slope * first, slope * steep)
-    told = replace(before, curves=curves, trials=before.trials + len(trials)).to_dict()
     file = Path(fmuid.diagnosis.__file__).with_name("calibration.json")
-    file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    trials = []
+    for chosen in (s for s in read_published(PUBLISHED) if s.seed in seeds):
+        shown = f"{chosen.told['commit']}:src/fmuid/diagnosis/calibration.json"
+        then = json.loads(subprocess.run(["git", "show", shown], capture_output=True, check=True).stdout)
+        for case in (c for c in chosen.cases(0, REHEARSAL + CHECK) if c.answer and not c.label["twin_of"]):
+            claimed, holds = case.claim
+            several = any(len(names) > 1 for names in case.sets)
+            offset, slope = Calibration(then["curves"]).curve(case.kind, several=several) or (0.0, 1.0)
+            weight = expit((logit(claimed) - offset) / slope) if 0.0 < claimed < 1.0 else claimed
+            trials.append(Trial(case.kind, float(weight), holds, several))
+    file.write_text(json.dumps(fit_curves(trials, "").to_dict(), indent=1) + "\n", encoding="utf-8")
 
 
 def pages() -> dict[Path, str]:
@@ -215,7 +214,7 @@ def main() -> int:
             one.add_argument("--workers", type=int, default=1)
             one.add_argument("--time-limit", type=float, default=300.0, help="processor time of a case, s")
     commands.add_parser("page")
-    commands.add_parser("calibrate").add_argument("seed", type=int)
+    commands.add_parser("calibrate").add_argument("seed", type=int, nargs="+")
     agreement = commands.add_parser("agreement")
     agreement.add_argument("seed", type=int)
     agreement.add_argument("--count", type=int, default=50)

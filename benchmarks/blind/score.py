@@ -176,7 +176,7 @@ class Scored:
 
     @property
     def claim(self) -> tuple[float, bool]:
-        """The probability that the verdict claims for what it says, and whether that holds."""
+        """The probability that the verdict claims for what it says to be missing, and whether that holds."""
         assert self.answer is not None
         claimed = {"complete": [{"none"}], "insufficient": [{"none"}], "unknown": [{"unknown"}]}.get(self.kind)
         open_ = claimed or [{canonical(n) for n in s} for s in self.sets]
@@ -185,9 +185,8 @@ class Scored:
             for a in self.answer["answers"]
             if {canonical(n) for n in a["effects"]} in open_
         )
-        if self.kind in _NAMING:  # that one of its sets is true; of a partial verdict, as far as it goes
-            part = self.kind == "partial"
-            return weight, any(not self._foreign(s) if part else self._true(s) for s in self.sets)
+        if self.kind in _NAMING:
+            return weight, any(not self._foreign(s) for s in self.sets)
         return weight, self.right if self.kind != "insufficient" else self.label["stratum"] == "none"
 
     @property

@@ -51,6 +51,17 @@ def test_weights_become_the_share_of_trials_that_were_right():
     assert curve.apply(Verdict("complete"), {"none": 0.9, "a": 0.1}) == {"none": 0.9, "a": 0.1}
 
 
+def test_answers_with_several_effects_have_a_curve_of_their_own():
+    trials = [Trial("effect", 0.9, k % 10 > 0, several=False) for k in range(100)]
+    both = Verdict("effect", ("a", "b"))
+    for several, share in (([], 0.9), ([Trial("effect", 0.9, k % 2 > 0, several=True) for k in range(200)], 0.5)):
+        curves = fit_curves([*trials, *several], "")
+        assert curves.apply(both, {("a", "b"): 0.9, "none": 0.1})["a", "b"] == pytest.approx(share, abs=0.03)
+        assert curves.apply(Verdict("effect", ("a",)), {("a",): 0.9, "none": 0.1})["a",] == pytest.approx(
+            0.9, abs=0.03
+        )
+
+
 def test_a_few_trials_change_little():
     probability = fit_curves([Trial("effect", 0.9, True)] * 3, "").apply(EFFECT, WEIGHTS)
     assert 0.9 < probability["a"] < 0.98
@@ -91,7 +102,9 @@ def test_plants_have_a_background_that_a_verdict_may_name(fitted):
     for effects, right in (((one,), True), ((one, other), True), (("none",), True), (("elsewhere",), False)):
         assert is_true(Verdict("effect", effects), made.truth, made.background) is right
     assert is_true(Verdict("effect", ("a", one)), frozenset({"a"}), made.background)
-    assert not is_true(Verdict("effect", (one,)), frozenset({"a"}), made.background)
+    assert is_true(Verdict("effect", ("a",)), frozenset({"a", "b"}))
+    assert not is_true(Verdict("effect", ("a", "c")), frozenset({"a", "b"}), made.background)
+    assert is_true(Verdict("ambiguous", ("a",), (("c",), ("b",))), frozenset({"a", "b"}))
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
