@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -476,11 +476,7 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     answer["model"]["standard_errors"] = _errors(outcome)
     answer["nominal"] = {"parameters": outcome.subject.model.expanded(outcome.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
-    at_bounds = _at_bounds(outcome)
-    if at_bounds:
-        answer["notes"].append(
-            f"At a bound of the campaign, so hardly determined by these experiments: {', '.join(at_bounds)}."
-        )
+    answer["notes"] += _at_bounds(outcome)
     for effect, value in outcome.subject.modelled.items():
         answer["notes"].append(f"Not looked for, because the campaign has it in the model: {effect} ({value}).")
     if outcome.subject.observed.bounded:
@@ -496,14 +492,17 @@ def _errors(outcome: Found) -> dict[str, float | None]:
     return {name: e.standard_error for name, e in known.items()}
 
 
-def _at_bounds(outcome: Found) -> list[str]:
-    """Return the nominal parameters of the corrected model that ended at a bound, with their values."""
-    values = outcome.corrected.fit.values
-    return [
-        f"{u.name} = {values[u.name]:.4g}"
-        for u in outcome.subject.nominal
-        if min(values[u.name] - u.lower, u.upper - values[u.name]) <= 0.01 * u.step
-    ]
+def _at_bounds(outcome: Found) -> Iterator[str]:
+    """Yield notes on the nominal parameters of the corrected model that ended at a bound, with their values."""
+    fitted, nominal = outcome.corrected, outcome.subject.nominal
+    back = decide.held_back(fitted, nominal, outcome.subject.observed)
+    values = {u.name: v for u in nominal if decide.at_bound(v := fitted.fit.values[u.name], u)}
+    for names, what in (
+        (back, "Held back by a bound of the campaign, so the model lacks something else, or the bound is wrong"),
+        (values.keys() - set(back), "At a bound of the campaign, so hardly determined by these experiments"),
+    ):
+        if names:
+            yield f"{what}: {', '.join(f'{n} = {v:.4g}' for n, v in values.items() if n in names)}."
 
 
 def _machines(outcome: Found) -> BetweenMachines | None:

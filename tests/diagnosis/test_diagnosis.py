@@ -11,6 +11,7 @@ import pytest
 from plants import EFFECTS, PORTS, TWIN, N, _effect, misread, plant
 
 from fmuid.core.errors import SimulationError
+from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import fit_effects
 from fmuid.diagnosis.diagnose import Found, diagnose_subject
 from fmuid.diagnosis.subject import without_spikes
@@ -252,3 +253,14 @@ def test_what_a_table_predicts_in_runs_without_repeats_is_unknown_and_no_noise()
         diagnosis = _beyond_noise(diagnosed.diagnosis, nominal, tabulated)
         assert (diagnosis.verdict.kind, diagnosis.verdict.ports[0]) == (kind, "friction")
         assert sum(a.probability for a in diagnosis.answers) == pytest.approx(1.0)
+
+
+def test_a_verdict_is_provisional_if_the_runs_contradict_a_bound_of_the_model():
+    subject = plant({"a": 0.3})
+    mass, *others = subject.nominal
+    for lower, back in ((0.1, ()), (1.02, ("m",))):
+        bounded = replace(subject, nominal=(replace(mass, start=1.5, lower=lower), *others))
+        found = diagnose_subject(bounded)
+        assert says(check(found))[:2] == ("effect", ["asymmetry"])
+        assert found.diagnosis.verdict.provisional == bool(back)
+        assert decide.held_back(found.corrected, bounded.nominal, bounded.observed) == back

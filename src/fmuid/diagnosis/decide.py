@@ -22,7 +22,7 @@ from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis.candidates import Fitted
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure
 from fmuid.diagnosis.free_functions import Decoy
-from fmuid.diagnosis.observed import Observed, gap
+from fmuid.diagnosis.observed import Observed, gap, orthonormal, project_off
 from fmuid.diagnosis.refit import Refit, about
 from fmuid.diagnosis.scores import stack
 from fmuid.diagnosis.subject import Subject
@@ -52,6 +52,7 @@ _HIDDEN = 0.15  # weight of an effect whose gap would just matter, where no gap 
 _POSSIBLE = 0.5  # odds of something unknown against slow noise, for each floor of a gap that no model predicts
 _UNKNOWN = 0.95  # weight of the verdict *unknown*; the rest goes to what comes closest
 _DOUBT = 0.02  # least weight of something unknown in addition to what was named
+_NEAR = 0.01  # of a parameter's step: so near a bound, it is at the bound
 _BLOCK = 20.0  # this many samples of model error carry as much information as one of noise
 
 
@@ -333,18 +334,43 @@ def strained(fitted: Fitted, effects: Sequence[Effect]) -> bool:
     not count.
     """
     for effect in (e for e in effects if e.id in fitted.effects):
-        near = {u.name: 0.01 * u.step for u in effect.unknowns}
         at = {
             u.name: bound
             for u in effect.unknowns
             if u.name not in effect.natural
             for bound in _limits(effect, u)
-            if abs(fitted.fit.values[u.name] - bound) <= near[u.name]
+            if abs(fitted.fit.values[u.name] - bound) <= _NEAR * u.step
         }
         plausible = [{**effect.neutral, **trial} for trial in ({}, *effect.trials)]
         if at and not any(all(p[name] == bound for name, bound in at.items()) for p in plausible):
             return True
     return False
+
+
+def held_back(fitted: Fitted, nominal: Sequence[Unknown], observed: Observed) -> tuple[str, ...]:
+    """Return the parameters of the plain model that bounds hold back, although the runs contradict the bounds.
+
+    Without its bound, such a parameter would move by at least `SAME` of its standard errors. What was fitted then
+    stands in for something else, as it has to make up for the bound.
+    """
+    fit, residual = fitted.fit, stack(fitted.fit.residuals, observed)
+    at = [k for k, u in enumerate(fit.unknowns) if at_bound(fit.values[u.name], u)]
+    slopes, plain = stack(fit.jacobian, observed), {u.name for u in nominal}
+    free = orthonormal(np.delete(slopes, at, axis=1))
+    names = []
+    for k in at:
+        unknown = fit.unknowns[k]
+        alone = project_off(slopes[:, k], free)
+        length, down = float(np.linalg.norm(alone)), -float(alone @ residual)
+        beyond = 1.0 if fit.values[unknown.name] > 0.5 * (unknown.lower + unknown.upper) else -1.0
+        if unknown.name in plain and down * beyond > SAME * length > 0.0:
+            names.append(unknown.name)
+    return tuple(names)
+
+
+def at_bound(value: float, unknown: Unknown) -> bool:
+    """Return whether a parameter's value is at one of its bounds."""
+    return min(value - unknown.lower, unknown.upper - value) <= _NEAR * unknown.step
 
 
 def _limits(effect: Effect, unknown: Unknown) -> set[float]:

@@ -591,7 +591,8 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
     best = best if part is None else part.fitted
     alone = len(observed.runs) == 1  # another law may do the same with this input
-    provisional = provisional or alone or len(best.effects) > decide.MOST_CALIBRATED
+    strange = bool(decide.held_back(best, subject.nominal, observed))
+    provisional = provisional or alone or strange or len(best.effects) > decide.MOST_CALIBRATED
     if part is not None:
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
         beside = Rest(best.gap, where_left(subject, best, paths, part.entered))
