@@ -11,6 +11,7 @@ from tones import SIGMA, STRENGTHS, TIME, Reading, heard
 from fmuid.core.progress import quiet
 from fmuid.diagnosis import candidates
 from fmuid.diagnosis.calibration import Calibration
+from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     _best_start,
     add_effect,
@@ -24,7 +25,7 @@ from fmuid.diagnosis.candidates import (
 )
 from fmuid.diagnosis.cross_validation import CHORDS, draw_noise
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.effect_search import _added, _moved, _pruned, search
+from fmuid.diagnosis.effect_search import _added, _moved, _pruned, exact_enough, search
 from fmuid.diagnosis.next_experiment import suggest
 from fmuid.diagnosis.refit import about, refit
 from fmuid.diagnosis.scores import nominal_basis, stack
@@ -43,17 +44,29 @@ def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
     assert diagnosed.diagnosis.model == pytest.approx({"k": 1.0, "first": 1.0, "second": 1.0}, abs=0.01)
     # Without exchanges and without leaving out what has become needless, the mixture stays, and something with it.
     monkeypatch.setattr("fmuid.diagnosis.effect_search._replaced", lambda *_: [])
-    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda subject, best, *_: best)
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._pruned", lambda subject, nominal, best, *_: best)
     assert "mixture" in diagnose_subject(subject).diagnosis.verdict.effects
 
 
 def test_an_effect_that_only_closes_what_is_tolerated_is_left_out():
     subject = plant({"a": 0.3, "tilt": 0.05})
     effects = [subject.by_id[name] for name in ("asymmetry", "tilt")]
-    both = fit_effects(subject, effects, [{}])
-    assert set(_pruned(subject, both, [], partial(without, subject)).effects) == {"asymmetry", "tilt"}
+    nominal, both = (fit_effects(subject, names, [{}]) for names in ((), effects))
+    assert set(_pruned(subject, nominal, both, [], partial(without, subject)).effects) == {"asymmetry", "tilt"}
     tolerant = replace(subject, tolerances={"x": 0.05, "v": 0.05})
-    assert _pruned(tolerant, both, [], partial(without, tolerant)).effects == ("asymmetry",)
+    assert _pruned(tolerant, nominal, both, [], partial(without, tolerant)).effects == ("asymmetry",)
+
+
+def test_a_model_within_the_tolerance_is_exact_enough_only_if_it_holds_on_other_experiments():
+    subject = plant({"a": 0.3}, repeats=1)
+    tolerant = replace(subject, tolerances={"x": 0.5, "v": 0.5})
+    nominal, fitted = (fit_effects(tolerant, names, [{}]) for names in ((), (tolerant.by_id["quadratic"],)))
+    assert fitted.gap > 0.25
+    assert decide.within_tolerance(tolerant, fitted)
+    elsewhere = replace(nominal.held_out, loss=0.1 * nominal.held_out.loss)
+    for held_out, enough in ((fitted.held_out, False), (elsewhere, True)):
+        judged = replace(fitted, held_out=held_out, judged=held_out, gap=0.3 if enough else fitted.gap)
+        assert exact_enough(tolerant, nominal, judged) is enough
 
 
 def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start_values():
@@ -91,7 +104,8 @@ def test_a_needless_law_is_dropped():
     subject = heard(laws, {1: 1.0, 2: 1.0})
     by_id = {e.id: e for e in subject.effects}
     whole = fit_effects(subject, [by_id[name] for name in ("mixture", "first", "second")], [{}])
-    pruned = _pruned(subject, whole, [], partial(without, subject))
+    nominal = fit_effects(subject, (), [{}])
+    pruned = _pruned(subject, nominal, whole, [], partial(without, subject))
     assert pruned.effects == ("first", "second")
 
 

@@ -543,7 +543,7 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
     best = surviving[0] if surviving else None
     if powerless or not evidence.present:
         return Judgement(Verdict("insufficient" if powerless else "complete"), surviving[:1])
-    done = best is not None and finished(subject, best, searched.scores, searched.noise)
+    done = best is not None and finished(subject, nominal, best, searched.scores, searched.noise)
     at = {e.id: e.port for e in subject.effects}
     named = tuple(dict.fromkeys(at[n] for s in surviving for n in s.effects))
     ports_named = [at[n] for n in best.effects] if best is not None else []

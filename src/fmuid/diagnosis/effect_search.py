@@ -102,7 +102,7 @@ def search(
     def without_one(fitted: Fitted, name: str) -> Fitted | None:  # to the end where others are tried instead
         return without(subject, fitted, name, compared=len(fitted.effects) > decide.MOST_CALIBRATED)
 
-    while present and len(best.effects) < _MOST and not exact_enough(subject, best):
+    while present and len(best.effects) < _MOST and not exact_enough(subject, nominal, best):
         say(f"looking for effects in addition to {best.id}", 0.5 + 0.1 * len(best.effects))
         shape = best.gap < _SHAPE * nominal.gap  # a law there may only correct the shape of one that is known
         company = [
@@ -121,7 +121,7 @@ def search(
             best = _exchanged(subject, best, candidates, scores, without_one)
         if again and not holds(subject, nominal, best):
             break
-    return candidates, _pruned(subject, best, candidates, without_one)
+    return candidates, _pruned(subject, nominal, best, candidates, without_one)
 
 
 def aliases(
@@ -299,14 +299,23 @@ def holds(subject: Subject, nominal: Fitted, best: Fitted | None) -> bool:
     )
 
 
-def finished(subject: Subject, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
+def finished(subject: Subject, nominal: Fitted, best: Fitted, scores: Sequence[Score], noise: NoiseDraws) -> bool:
     """Return whether the remaining gap of `best` is irrelevant, within the tolerances or within the noise."""
-    return exact_enough(subject, best) or _further(subject, best, scores, noise)[1]
+    return exact_enough(subject, nominal, best) or _further(subject, best, scores, noise)[1]
 
 
-def exact_enough(subject: Subject, fitted: Fitted) -> bool:
-    """Return whether nothing that matters is left: the gap is irrelevant, or within what the user tolerates."""
-    return fitted.gap <= GAP_THAT_MATTERS or decide.within_tolerance(subject, fitted)
+def exact_enough(subject: Subject, nominal: Fitted, fitted: Fitted) -> bool:
+    """Return whether nothing that matters is left: the gap is irrelevant, or within what the user tolerates.
+
+    A model within the tolerance also has to close enough of the gap on left-out experiments for its effects to be
+    named: another effect may be missing, without which they are wrong there.
+    """
+    if fitted.gap <= GAP_THAT_MATTERS:
+        return True
+    bounded = subject.observed.bounded
+    return decide.within_tolerance(subject, fitted) and decide.names(
+        nominal, fitted, finished=True, bounded=bounded
+    )
 
 
 def _added(
@@ -431,7 +440,9 @@ def _replaced(
     return _added(subject, rest, fresh, extended=extended, rival=rival)
 
 
-def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted], without_one: _Rest) -> Fitted:
+def _pruned(
+    subject: Subject, nominal: Fitted, best: Fitted, candidates: list[Fitted], without_one: _Rest
+) -> Fitted:
     """Leave out of `best`, one by one, the effects without which nothing that matters is missing.
 
     The first effect added stands in for much that is missing; once the rest is there, it may explain nothing.
@@ -441,7 +452,8 @@ def _pruned(subject: Subject, best: Fitted, candidates: list[Fitted], without_on
         enough = [
             s
             for s in simpler
-            if s is not None and (exact_enough(subject, s) or not decide.needed(s, best, subject.observed))
+            if s is not None
+            and (exact_enough(subject, nominal, s) or not decide.needed(s, best, subject.observed))
         ]
         if not enough:
             break
