@@ -260,7 +260,7 @@ def test_a_verdict_is_provisional_if_the_runs_contradict_a_bound_of_the_model():
     mass, *others = subject.nominal
     for lower, back in ((0.1, ()), (1.02, ("m",))):
         bounded = replace(subject, nominal=(replace(mass, start=1.5, lower=lower), *others))
-        found = diagnose_subject(bounded)
-        assert says(check(found))[:2] == ("effect", ["asymmetry"])
-        assert found.diagnosis.verdict.provisional == bool(back)
-        assert decide.held_back(found.corrected, bounded.nominal, bounded.observed) == back
+        outcome = diagnose_subject(bounded)
+        assert says(check(outcome))[:2] == ("effect", ["asymmetry"])
+        assert outcome.diagnosis.verdict.provisional == bool(back)
+        assert decide.held_back(outcome.corrected, bounded.nominal, bounded.observed) == back

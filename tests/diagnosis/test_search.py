@@ -9,9 +9,8 @@ from plants import Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, Reading, heard
 
 from fmuid.core.progress import quiet
-from fmuid.diagnosis import candidates
+from fmuid.diagnosis import candidates, decide
 from fmuid.diagnosis.calibration import Calibration
-from fmuid.diagnosis import decide
 from fmuid.diagnosis.candidates import (
     _best_start,
     add_effect,
