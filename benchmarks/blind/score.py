@@ -165,14 +165,14 @@ class Scored:
         if not self.answer or not self.answer["answers"]:
             return None
         best = max(self.answer["answers"], key=lambda a: float(a["probability"] or 0.0))
-        names, truths = set(best["effects"]), self.label["effects"]
-        if names <= {"none", "unknown"}:
-            true = (names == {"none"} and not truths) or (
-                names == {"unknown"} and self.label["stratum"] == "unknown"
-            )
-        else:
-            true = self._true(names)
-        return float(best["probability"] or 0.0), bool(true)
+        true = self._holds(set(best["effects"])) or (
+            best["effects"] == ["unknown"] and self.label["stratum"] == "unknown"
+        )
+        return float(best["probability"] or 0.0), true
+
+    def _holds(self, names: set[str]) -> bool:
+        """Return whether an answer is true; *unknown* is none."""
+        return not self.label["effects"] if names == {"none"} else self._true(names)
 
     @property
     def claim(self) -> tuple[float, bool]:
@@ -187,6 +187,8 @@ class Scored:
         )
         if self.kind in _NAMING:
             return weight, any(not self._foreign(s) for s in self.sets)
+        if self.kind == "unknown":  # none of the answers that are listed
+            return weight, not any(self._holds(set(a["effects"])) for a in self.answer["answers"])
         return weight, self.right if self.kind != "insufficient" else self.label["stratum"] == "none"
 
     @property

@@ -105,6 +105,9 @@ def test_plants_have_a_background_that_a_verdict_may_name(fitted):
     assert is_true(Verdict("effect", ("a",)), frozenset({"a", "b"}))
     assert not is_true(Verdict("effect", ("a", "c")), frozenset({"a", "b"}), made.background)
     assert is_true(Verdict("ambiguous", ("a",), (("c",), ("b",))), frozenset({"a", "b"}))
+    listed = [("unknown",), ("none",), ("a",)]
+    for truth, right in (({"unknown"}, True), ({"a", "b"}, True), ({"a"}, False), ({"none"}, False)):
+        assert is_true(Verdict("unknown"), frozenset(truth), listed=listed) is right
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -166,8 +166,20 @@ def _several(verdict: Verdict) -> bool:
     return any(len(answer) > 1 for answer in verdict.answers)
 
 
-def is_true(verdict: Verdict, truth: frozenset[str], background: frozenset[str] = frozenset()) -> bool:
-    """Return whether all effects of one of a verdict's answers are in `truth` or in the `background`."""
+def is_true(
+    verdict: Verdict,
+    truth: frozenset[str],
+    background: frozenset[str] = frozenset(),
+    listed: Iterable[tuple[str, ...]] = (),
+) -> bool:
+    """Return whether all effects of one of a verdict's answers are in `truth` or in the `background`.
+
+    *Unknown* is true if none of the answers `listed` with it is.
+    """
+    if verdict.kind == "unknown":
+        return not any(
+            frozenset(answer) - background == truth for answer in listed if answer not in verdict.answers
+        )
     return any(truth | background >= set(answer) for answer in verdict.answers)
 
 
@@ -391,7 +403,7 @@ def calibrate(
         say(f"rehearsing on simulated plant {k + 1} of {count}", k / count)
         verdict, probability = diagnose(plant)
         named = tuple(dict.fromkeys([*verdict.effects, *(n for names in verdict.one_of for n in names)]))
-        weight, right = says(verdict, probability), is_true(verdict, truth, background)
+        weight, right = says(verdict, probability), is_true(verdict, truth, background, probability)
         known = tuple(sorted(truth)), gap, named, tuple(sorted(background))
         trials.append(Trial(verdict.kind, weight, right, _several(verdict), *known))
     return trials
