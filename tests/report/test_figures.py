@@ -126,6 +126,16 @@ def test_a_shared_abscissa_travels_once():
     assert len(specification(samples.friction())["shared"]) == 2
 
 
+def test_a_long_quantity_on_the_last_axis_of_a_row_stays_inside_the_figure():
+    line = Series("law", np.arange(3.0), np.arange(3.0), "final")
+    panels = tuple(Panel("", Axis("w_impeller.balance angle", "rad"), Axis("y"), (line,)) for _ in range(3))
+    canvas = canvas_of(LineFigure("missing", "", panels, "", 3))
+    canvas.draw_without_rendering()
+    for axes in canvas.axes:
+        assert axes.get_xlabel() == "w_impeller.balance angle / rad"
+        assert axes.xaxis.label.get_window_extent().x1 <= canvas.bbox.x1
+
+
 def test_lines_are_the_same_on_screen_as_in_the_data():
     figure = samples.history()
     drawn = {t["name"]: t for t in specification(figure)["data"] if not t.get("showlegend", True)}

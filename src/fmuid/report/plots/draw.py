@@ -20,6 +20,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure as Canvas
+from matplotlib.text import Text
 from matplotlib.ticker import LogFormatterSciNotation, ScalarFormatter
 
 from fmuid.report.plots import style
@@ -168,7 +169,8 @@ def _lines(figure: LineFigure) -> Canvas:
         if n > 1 or paired:
             axes.yaxis.set_label_coords(-0.54 / width, 0.5)
         if n > 1:
-            _fit_title(axes, panel.title, width)
+            _fit(axes.set_title(panel.title, fontsize=8.5), width)
+            _fit(axes.xaxis.label, width + 0.2)
     if handles:
         where: Any = "upper center" if n > 1 or paired else "outside upper center"
         canvas.legend(list(handles.values()), list(handles), loc=where, ncols=min(len(handles), 5))
@@ -191,12 +193,14 @@ def _margins(canvas: Canvas, rows: int, columns: int, second_line: float) -> dic
     }
 
 
-def _fit_title(axes: Axes, title: str, width: float) -> None:
-    """Write a title no wider than its panel (inches): first in a smaller font, then cut."""
-    fits = width / 0.058  # characters of the usual size
-    share = max(0.75, min(1.0, fits / max(len(title), 1)))
+def _fit(text: Text, width: float) -> None:
+    """Make a text hardly wider than its panel (inches): first in a smaller font, then cut."""
+    content, size = text.get_text(), float(text.get_fontsize())
+    fits = width / (0.0068 * size)  # characters
+    share = max(0.75, min(1.0, fits / max(len(content), 1)))
     room = int(fits / share)
-    axes.set_title(title if len(title) <= room else f"{title[: room - 1]}…", fontsize=8.5 * share)
+    text.set_text(content if len(content) <= room else f"{content[: room - 1]}…")
+    text.set_fontsize(share * size)
 
 
 def _panel(axes: Axes, panel: Panel, handles: dict[str, Any]) -> None:
