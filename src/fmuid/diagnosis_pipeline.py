@@ -169,13 +169,13 @@ def _looked_again(
     campaign: Campaign,
     outcome: Found,
     looks: Sequence[Callable[[Campaign, Found], tuple[Campaign, str] | None]],
-    diagnosed: Callable[[Campaign], Found],
+    diagnosed: Callable[[Campaign], tuple[Campaign, Found]],
 ) -> tuple[Campaign, Found]:
     """Return the campaign that explains the runs better without an effect, if there is one, and its diagnosis."""
     for look in looks:
         if (changed := look(campaign, outcome)) is not None:
-            campaign, note = changed
-            outcome = diagnosed(campaign)
+            changed_campaign, note = changed
+            campaign, outcome = diagnosed(changed_campaign)
             outcome = replace(
                 outcome, diagnosis=replace(outcome.diagnosis, notes=(note, *outcome.diagnosis.notes))
             )
@@ -331,6 +331,7 @@ def diagnose(
         say("noise floor", 0.0)
         recorded_runs = campaign.measurements
         campaign, notes = averaged(campaign)
+        given = campaign.effects
         campaign = with_catalogue(campaign, load_simulator, runner=runner)
         subject = _subject(campaign, runner, experiments, tolerance or {})
         key = calibration.key_of(_files(campaign, subject), subject)
@@ -343,12 +344,16 @@ def diagnose(
         def subject_with(changed: Campaign) -> Subject:
             return _subject(changed, runner, experiments, tolerance or {})
 
+        def diagnosed_again(changed: Campaign) -> tuple[Campaign, Found]:  # its runs give the effects other sizes
+            changed = with_catalogue(replace(changed, effects=given), load_simulator, runner=runner)
+            return changed, diagnose_subject(subject_with(changed), seed=seed, calibration=curves)
+
         timing = partial(with_timing_of_log, runner=runner)  # that of averaged samples is known
         campaign, outcome = _looked_again(
             campaign,
             outcome,
             (*(() if notes else (timing,)), partial(with_starts_of_runs, subject_with=subject_with)),
-            lambda changed: diagnose_subject(subject_with(changed), seed=seed, calibration=curves),
+            diagnosed_again,
         )
         law = law and not nearly_explained(outcome.diagnosis)
         discovery = find_law(outcome, campaign.models, load_simulator, say=say, seed=seed) if law else None
