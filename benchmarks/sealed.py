@@ -29,7 +29,7 @@ from fmuid.simulation.pool.workers import WorkerPool
 
 _CHANGES = "changes.csv"
 _CHANGED = "## Changed verdicts"
-_REASONS = "Every change since the first version of this page, with its reason as far as the commits give one."
+_REASONS = "Every change since the first version of this page, with its reason."
 _INTRODUCTION = """# Diagnoses of the sealed campaigns
 
 Verdicts of fmuid on campaigns whose answers are withheld, case by case, as given; some have
@@ -40,7 +40,7 @@ The expected closure is for a new experiment, beyond what refitting closes; *unk
 promise none. [How to read a diagnosis](diagnosis.md);
 [what was known beforehand](quality.md#what-was-known-beforehand)."""
 _HOME = """Campaigns from a foreign rig of the actuator's kind. Made by `make sealed`; each whole answer is in\
- `sealed/`."""
+ `sealed/`. Probabilities were calibrated before 29 November."""
 _ABROAD = """Rigs of other kinds, each with a plain Modelica model that the catalogue is made from. Made by\
  `make sealed-abroad`; each whole answer is in `sealed/abroad/`."""
 _COLUMNS = [
