@@ -1,5 +1,6 @@
 """Runs that start in motion, or warm, while the model starts from its own values."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import fmuid
 from fmuid.campaigns.campaign_toml import load_campaign
+from fmuid.cli.app import run
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import subject_of
 from fmuid.simulation.coupled.loading import load_simulator
@@ -59,19 +61,19 @@ def logs(
     """
     rng, paths, time = np.random.default_rng(2), [], 20.0 * np.arange(samples)
     (folder / "Room.mo").write_text(MODEL.replace("{start}", ", start=293, fixed=true"))
-    for run in range(3):
-        power = 300.0 * (np.sin((1 + run) * 2e-3 * time) > 0.0)
-        wind = np.sin((2.3 + run) * 1.3e-3 * time + run)
+    for which in range(3):
+        power = 300.0 * (np.sin((1 + which) * 2e-3 * time) > 0.0)
+        wind = np.sin((2.3 + which) * 1.3e-3 * time + which)
         true = course(
             np.concatenate([np.zeros(late), power[: samples - late]]),
-            293.0 + warm * (1.0 + run),
-            293.0 + 0.5 * warm + wall * (1.0 + run),
+            293.0 + warm * (1.0 + which),
+            293.0 + 0.5 * warm + wall * (1.0 + which),
             24.0 * (1.0 + windy * wind),
         )
         for k in range(repeats):
             columns = [100.0 * k + time, power, true + 0.02 * rng.standard_normal(samples)]
             rows = np.column_stack([*columns, wind] if windy else columns)
-            paths.append(folder / f"run{run}_{k}.csv")
+            paths.append(folder / f"run{which}_{k}.csv")
             header = "time,P [W],T [K]" + ",wind [m/s]" * bool(windy)
             np.savetxt(paths[-1], rows, "%.5f", ",", header=header, comments="")
     return paths
@@ -118,12 +120,13 @@ def test_walls_that_were_warm_do_not_hide_an_effect(tmp_path):
 
 def test_walls_that_were_warm_do_not_hide_a_coefficient_that_varies(tmp_path):
     """Until the starts of the walls are free, the wind hardly shows; then dependences are compared again."""
-    campaign = fmuid.start(
-        logs(tmp_path, 0.0, wall=12.0, windy=0.02), model=tmp_path / "Room.mo", out=tmp_path / "room"
-    )
-    diagnosis = fmuid.diagnose(campaign, law=False).diagnosis
-    assert any("start elsewhere than the model" in note for note in diagnosis.notes)
-    assert diagnosis.verdict.effects == ("varies@G(wind)",)
+    room, out = tmp_path / "room", tmp_path / "diagnosis"
+    fmuid.start(logs(tmp_path, 0.0, wall=12.0, windy=0.02), model=tmp_path / "Room.mo", out=room)
+    assert run(["diagnose", str(room), "--out", str(out), "--workers", "0", "--quiet"]) == 0
+    answer = json.loads((out / "diagnosis.json").read_text())
+    assert any("start elsewhere than the model" in note for note in answer["notes"])
+    assert answer["verdict"]["effects"] == ["varies@G(wind)"]
+    assert run(["validate", str(out), "--experiment", "run0_0", "--workers", "0"]) == 0
 
 
 def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):

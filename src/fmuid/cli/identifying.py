@@ -342,12 +342,13 @@ class _Judged(NamedTuple):
 def _diagnosis_validation(asked: _Judged, printer: Printer, runner: Runner) -> dict[str, Any]:
     from fmuid.campaigns.campaign_toml import load_campaign
     from fmuid.diagnosis.corrected import FOLDER, read_diagnosis, validate_diagnosis
+    from fmuid.diagnosis.made_catalogue import with_kept_catalogue
 
     answer = read_diagnosis(asked.file)
     campaign = asked.campaign or answer.get("campaign")
     if campaign is None:
         raise FmuidError("no campaign to validate on", where=asked.file, fix="give one as second argument")
-    loaded = load_campaign(campaign)
+    loaded = with_kept_catalogue(load_campaign(campaign), asked.file.parent)
     recorded = _recorded(asked.measurements, loaded)
     others = load_campaign(campaign, measurements=recorded, judged=True) if recorded is not None else None
     written = asked.file.parent / FOLDER / "campaign.toml"

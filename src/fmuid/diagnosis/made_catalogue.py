@@ -46,6 +46,7 @@ from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
+CATALOGUE = "catalogue.toml"  # in a diagnosis's folder, where it was made for other starts or another timing
 _MAGNITUDE = 0.01  # disturbance at which a port's response is taken, as a share of the nominal flow
 _OFF = (1.05, 1.2)  # trial factors on a held value
 _TOGETHER = 0.9999  # squared correlation of angles from which two shafts count as geared to each other
@@ -308,6 +309,12 @@ def with_catalogue(
         text = _with_models(text, carriers)
         spec = replace(spec, catalogue=_in_cache(text))
     return replace(campaign, effects=spec, models=models)
+
+
+def with_kept_catalogue(campaign: Campaign, folder: Path) -> Campaign:
+    """Return the campaign with the catalogue that is in the folder of its diagnosis, if there is one."""
+    kept = folder / CATALOGUE
+    return replace(campaign, effects=replace(_spec(campaign), catalogue=kept)) if kept.is_file() else campaign
 
 
 def with_effect(campaign: Campaign, id: str, table: Mapping[str, Any]) -> Campaign:
