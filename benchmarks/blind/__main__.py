@@ -127,10 +127,11 @@ def calibrate(seeds: Sequence[int]) -> None:
     for chosen in (s for s in read_published(PUBLISHED) if s.seed in seeds):
         shown = f"{chosen.told['commit']}:src/fmuid/diagnosis/calibration.json"
         then = json.loads(subprocess.run(["git", "show", shown], capture_output=True, check=True).stdout)
+        curves = Calibration(then["curves"])
         for case in (c for c in chosen.cases(0, REHEARSAL + CHECK) if c.answer and not c.label["twin_of"]):
             claimed, holds = case.claim
             several = any(len(names) > 1 for names in case.sets)
-            offset, slope = Calibration(then["curves"]).curve(case.kind, several=several) or (0.0, 1.0)
+            offset, slope = curves.curve(case.kind, several=several) or (0.0, 1.0)
             weight = expit((logit(claimed) - offset) / slope) if 0.0 < claimed < 1.0 else claimed
             trials.append(Trial(case.kind, float(weight), holds, several))
     file.write_text(json.dumps(fit_curves(trials, "").to_dict(), indent=1) + "\n", encoding="utf-8")

@@ -165,10 +165,8 @@ class Scored:
         if not self.answer or not self.answer["answers"]:
             return None
         best = max(self.answer["answers"], key=lambda a: float(a["probability"] or 0.0))
-        true = self._holds(set(best["effects"])) or (
-            best["effects"] == ["unknown"] and self.label["stratum"] == "unknown"
-        )
-        return float(best["probability"] or 0.0), true
+        unknown = best["effects"] == ["unknown"] and self.label["stratum"] == "unknown"
+        return float(best["probability"] or 0.0), unknown or self._holds(set(best["effects"]))
 
     def _holds(self, names: set[str]) -> bool:
         """Return whether an answer is true; *unknown* is none."""

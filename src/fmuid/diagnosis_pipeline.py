@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.core.campaign import Campaign, EffectsSpec, without_owner
+from fmuid.core.campaign import Campaign, without_owner
 from fmuid.core.errors import CampaignError, FmuidError, SimulationError
 from fmuid.core.files import write_atomically
 from fmuid.core.folder_lock import claim
@@ -31,7 +31,7 @@ from fmuid.diagnosis.decide import GAIN_OF_A_SECOND, odds_of_starts, starts_matt
 from fmuid.diagnosis.diagnose import Found, diagnose_subject, where_left
 from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
-from fmuid.diagnosis.made_catalogue import CATALOGUE, with_catalogue, with_effect
+from fmuid.diagnosis.made_catalogue import keep_catalogue, with_catalogue, with_effect
 from fmuid.diagnosis.observed import gap
 from fmuid.diagnosis.scores import SEEN
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
@@ -376,8 +376,8 @@ def diagnose(
         )
         if folder is not None:
             say("drawing", 0.97)
+            keep_catalogue(folder, campaign, first)
             _write(outcome, campaign, folder, seed, added)
-            _keep_catalogue(campaign, folder, first)
     # The workers have ended, so any further simulation runs in this process.
     model = replace(outcome.subject.model, runner=in_process)
     return replace(outcome, subject=replace(outcome.subject, model=model))
@@ -637,14 +637,6 @@ def _write(
         provenance=provenance_of(campaign, seed, files=_files(campaign, outcome.subject)),
     )
     return corrected
-
-
-def _keep_catalogue(campaign: Campaign, folder: Path, first: EffectsSpec | None) -> None:
-    """Write the catalogue into the folder of the diagnosis, unless it is the `first` one, of the campaign."""
-    kept = folder / CATALOGUE
-    kept.unlink(missing_ok=True)
-    if first is not None and campaign.effects is not None and campaign.effects.file != first.file:
-        write_atomically(kept, campaign.effects.file.read_text())
 
 
 def _predicted(added: Candidate | Tabulated | None) -> Prediction | None:

@@ -356,7 +356,7 @@ def shipped() -> Calibration:
     """Return the calibration shipped with the package, on the published cases of the blind check."""
     return _read(
         (files("fmuid.diagnosis") / "calibration.json").read_text(),
-        "on random rigs, the default (--rehearse 60 makes them from this model and its noise)",
+        "of random rigs, the default (--rehearse 60 makes them from this model and its noise)",
     )
 
 

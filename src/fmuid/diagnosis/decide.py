@@ -353,9 +353,11 @@ def held_back(fitted: Fitted, nominal: Sequence[Unknown], observed: Observed) ->
     Without its bound, such a parameter would move by at least `SAME` of its standard errors. What was fitted then
     stands in for something else, as it has to make up for the bound.
     """
-    fit, residual = fitted.fit, stack(fitted.fit.residuals, observed)
+    fit, plain = fitted.fit, {u.name for u in nominal}
     at = [k for k, u in enumerate(fit.unknowns) if at_bound(fit.values[u.name], u)]
-    slopes, plain = stack(fit.jacobian, observed), {u.name for u in nominal}
+    if not at:
+        return ()
+    residual, slopes = (stack(parts, observed) for parts in (fit.residuals, fit.jacobian))
     free = orthonormal(np.delete(slopes, at, axis=1))
     names = []
     for k in at:

@@ -46,7 +46,7 @@ from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.simulator import Simulator
 
-CATALOGUE = "catalogue.toml"  # in a diagnosis's folder, where it was made for other starts or another timing
+_KEPT = "catalogue.toml"  # in the folder of a diagnosis
 _MAGNITUDE = 0.01  # disturbance at which a port's response is taken, as a share of the nominal flow
 _OFF = (1.05, 1.2)  # trial factors on a held value
 _TOGETHER = 0.9999  # squared correlation of angles from which two shafts count as geared to each other
@@ -311,18 +311,32 @@ def with_catalogue(
     return replace(campaign, effects=spec, models=models)
 
 
+def keep_catalogue(folder: Path, campaign: Campaign, first: EffectsSpec | None) -> None:
+    """Write the catalogue into the folder of a diagnosis, unless it is the `first` one, of the campaign."""
+    kept = folder / _KEPT
+    kept.unlink(missing_ok=True)
+    assert campaign.effects is not None
+    if first is None or campaign.effects.file != first.file:
+        write_atomically(kept, toml_document(_without_models(campaign.effects.file)))
+
+
 def with_kept_catalogue(campaign: Campaign, folder: Path) -> Campaign:
     """Return the campaign with the catalogue that is in the folder of its diagnosis, if there is one."""
-    kept = folder / CATALOGUE
+    kept = folder / _KEPT
     return replace(campaign, effects=replace(_spec(campaign), catalogue=kept)) if kept.is_file() else campaign
 
 
 def with_effect(campaign: Campaign, id: str, table: Mapping[str, Any]) -> Campaign:
     """Return a campaign with one more effect, a table of a catalogue; `with_catalogue` then builds its models."""
     assert campaign.effects is not None
-    tables = {key: table for key, table in read_toml(campaign.effects.file).items() if key != "models"}
+    tables = _without_models(campaign.effects.file)
     text = toml_document({**tables, "effects": {**tables["effects"], id: table}})
     return replace(campaign, effects=replace(campaign.effects, catalogue=_in_cache(text)))
+
+
+def _without_models(catalogue: Path) -> dict[str, Any]:
+    """Return the tables of a catalogue without the models that were built for it."""
+    return {key: table for key, table in read_toml(catalogue).items() if key != "models"}
 
 
 def _in_cache(text: str) -> Path:
