@@ -268,7 +268,7 @@ def test_calibrating_on_plants_of_one_s_own_is_kept_and_used(trolley, tmp_path, 
     assert probability[0] == probability[1]
     kept.unlink()
     assert run(arguments) == 0
-    assert "on random rigs, the default" in capsys.readouterr().out
+    assert "of random rigs, the default" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
