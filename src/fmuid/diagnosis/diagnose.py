@@ -21,7 +21,9 @@ from fmuid.diagnosis.candidates import (
     escaped,
     estimates,
     fit_effects,
+    leaving_out,
     over_horizons,
+    refit_only,
     refitted,
     score_further,
     twins,
@@ -216,22 +218,22 @@ def diagnose_subject(
     subject = replace(subject, observed=replace(subject.observed, predicted=begin))
     model, observed = subject.model, subject.observed
     say("refitting the nominal parameters", 0.02)
-    nominal = fit_effects(subject, (), [{}])
-    if nominal is None:
+    fit = refit_only(subject, (), [{}])
+    if fit is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
-    values = nominal.fit.values
-    clean = without_spikes(subject, _prediction(subject, values), values)
+    clean = without_spikes(subject, _prediction(subject, fit.values), fit.values)
     if clean is not subject:
         subject, observed = clean, clean.observed
-        nominal = fit_effects(subject, (), [values]) or nominal
-    bounded = observed.bounded_by(_prediction(subject, nominal.fit.values), len(nominal.fit.unknowns))
+        fit = refit_only(subject, (), [fit.values]) or fit
+    bounded = observed.bounded_by(_prediction(subject, fit.values), len(fit.unknowns))
     if bounded is not observed:
         subject, observed = replace(subject, observed=bounded), bounded
-        nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
+        fit = refit_only(subject, (), [fit.values]) or fit
     if observed.nuisances:  # linearised at the start values so far
-        observed = with_states(observed, model, nominal.fit.values)
+        observed = with_states(observed, model, fit.values)
         subject = replace(subject, observed=observed)
-        nominal = fit_effects(subject, (), [nominal.fit.values]) or nominal
+        fit = refit_only(subject, (), [fit.values]) or fit
+    nominal = leaving_out(subject, (), fit)
     subject, searched = _search_settled(subject, nominal, say, seed=seed)
     if searched.evidence.present and not holds(subject, searched.nominal, searched.best):
         say("searching again, with weights for a model that has errors of its own", 0.4)
