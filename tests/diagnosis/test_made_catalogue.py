@@ -40,6 +40,7 @@ from fmuid.diagnosis.variants import Variants, carrier, left_out
 from fmuid.effects.effect import Unknown
 from fmuid.effects.effects_file import load_catalogue
 from fmuid.effects.laws import laws
+from fmuid.identification.problem.cases import LOGGED
 from fmuid.simulation import model_source
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.fmu import load_fmu
@@ -568,6 +569,30 @@ def test_an_effect_that_makes_other_states_shares_no_model_with_effects_that_are
     assert size not in together.variables
     assert np.isfinite(together.simulate(task, {"load.presliding": 0.1})).all()
     assert len(alone.states) > len(plain.states)
+
+
+def test_of_the_coefficients_that_depend_on_a_column_only_one_that_needs_its_derivative_is_left_out(geared):
+    catalogue, shared, *_ = geared
+    given, column = catalogue.effects["inertia@load"], f"{LOGGED}T"
+
+    def over_column(parameter):
+        size = f"{parameter}.varies"
+        return replace(
+            given,
+            id=f"varies@{parameter}(T)",
+            port=parameter,
+            acts="parameter",
+            expression=f"p*(1 + {size}*{column})",
+            unknowns=(Unknown(size, 0.0, -1.0, 1.0, 0.01),),
+            neutral={size: 0.0},
+            inputs={column: "K"},
+            variant=False,
+        )
+
+    effects = {e.id: e for e in map(over_column, ("gear.ratio", "shaft.d", "load.J"))}
+    built = load_fmu(carrier(shared.models["drive"].source, replace(catalogue, effects=effects))).variables
+    assert "gear.ratio.varies" not in built  # the angles of its ends are in proportion, and their speeds as well
+    assert {"shaft.d.varies", "load.J.varies", column} <= {*built}
 
 
 def test_bristles_hold_against_a_small_torque_and_slide_under_a_larger_one(geared):

@@ -150,9 +150,13 @@ def _together(additions: Iterable[_Addition]) -> tuple[list[Term], list[Added]]:
 
 
 def _without_input(additions: Sequence[_Addition], error: ModelicaError) -> list[_Addition]:
-    """Return the additions without the input whose derivative is needed, if the error says so."""
+    """Return the additions without that of the input whose derivative is needed, if the error says so.
+
+    Of several that use one input, such as a column on which coefficients may depend, not all need its derivative.
+    """
     wanted = error.input if isinstance(error, InputDerivativeError) else None
-    return [one for one in additions if wanted not in {name.name for name in one.names}]
+    fewer = [one for one in additions if wanted not in {name.name for name in one.names}]
+    return fewer if len(additions) - len(fewer) == 1 else [*additions]
 
 
 def _fitting(
