@@ -495,6 +495,32 @@ class Coarse(Mass):
         return super().simulate(task, parameters) + error
 
 
+class CoarseWithEffect(Mass):
+    """A solver with an error at loose tolerances where the quadratic effect is on."""
+
+    default_tolerance = 1e-3
+
+    def simulate(self, task, parameters):
+        error = 1e2 * (task.tolerance or self.default_tolerance) * parameters.get("square", 0.0)
+        return super().simulate(task, parameters) + error
+
+
+def test_all_that_may_be_left_open_is_simulated_well_enough(monkeypatch):
+    subject = plant({"tilt": 0.0007})
+    cases = tuple(
+        replace(c, simulator=CoarseWithEffect(), task=replace(c.task, tolerance=1e-3)) for c in subject.model.cases
+    )
+    subject = replace(subject, model=replace(subject.model, cases=cases))
+    best, other = (fit_effects(subject, [subject.by_id[id]], [{}]) for id in ("tilt", "quadratic"))
+    assert other.fit.cost > 1.02 * best.fit.cost
+    assert other.fit.values["square"] != 0.0
+    monkeypatch.setattr("fmuid.diagnosis.diagnose.search", lambda *_, **__: ([best, other], best))
+    monkeypatch.setattr("fmuid.diagnosis.diagnose.singles_of", lambda _: [])  # trials that were looked at before
+    model = diagnose_subject(subject).subject.model
+    assert all(c.task.tolerance == 1e-3 for c in model.cases_at(best.fit.values))
+    assert all(c.task.tolerance <= 1e-4 for c in model.cases_at(other.fit.values))
+
+
 def test_a_tolerance_that_does_for_the_start_values_is_tightened_where_it_does_not():
     subject = plant({})
     cases = tuple(

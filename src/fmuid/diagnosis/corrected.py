@@ -140,8 +140,11 @@ def _difference(
     again = {case.id: case for case in _cases_of(campaign, chosen)}
     same = []
     for case in cases:
-        there = again[case.id]
-        task = case.with_model(there.simulator).task.with_names(_quoted(there.simulator.variables))
+        there = again[case.id]  # what suffices for the fitted model need not for this one
+        given = (c.task.tolerance or c.simulator.default_tolerance or np.inf for c in (case, there))
+        posed = replace(case.task, tolerance=None if (least := min(given)) == np.inf else least)
+        task = replace(case, task=posed).with_model(there.simulator).task
+        task = task.with_names(_quoted(there.simulator.variables))
         same.append(replace(there, task=task, lead=case.lead))
     (outcome,) = CampaignModel(tuple(same), runner, campaign.start_values).predict([{}])
     if isinstance(outcome, SimulationError):

@@ -424,6 +424,7 @@ def _refined(subject: Subject, searched: _Searched) -> tuple[Subject, _Searched]
     """Refit the best model and its rivals to the end, with solver tolerances that are tight enough there.
 
     The search ends refits where an iteration gains little of the cost. In long records, that may be much evidence.
+    All that may be left open is simulated well enough.
     """
     best = searched.best
     if best is None:
@@ -431,9 +432,10 @@ def _refined(subject: Subject, searched: _Searched) -> tuple[Subject, _Searched]
     most = (1.0 + _UNSETTLED) * best.fit.cost
     refined: dict[int, Fitted] = {}
     for k, fitted in enumerate(searched.candidates):
-        if fitted is best or (len(fitted.effects) == len(best.effects) and fitted.fit.cost <= most):
-            subject = tightened(subject, [fitted.fit.values])
-            refined[k] = refitted(subject, fitted, tolerance=_TO_THE_END)
+        if fitted is best or decide.comparable(best, fitted):
+            before, subject = subject, tightened(subject, [fitted.fit.values])
+            if fitted.fit.cost <= most or subject is not before:
+                refined[k] = refitted(subject, fitted, tolerance=_TO_THE_END)
     subject = tightened(subject, [fitted.fit.values for fitted in refined.values()])
     candidates = [refined.get(k, fitted) for k, fitted in enumerate(searched.candidates)]
     return subject, replace(
