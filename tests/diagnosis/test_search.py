@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from plants import Mass, misread, plant
+from plants import EFFECTS, Mass, misread, plant
 from tones import SIGMA, STRENGTHS, TIME, Reading, heard
 
 from fmuid.core.progress import quiet
@@ -493,6 +493,23 @@ class Coarse(Mass):
         away = parameters.get("m", 0.8) - 0.8 + parameters.get("square", 0.0)
         error = 1e2 * (task.tolerance or self.default_tolerance) * away
         return super().simulate(task, parameters) + error
+
+
+def test_a_law_with_a_shape_is_tried_where_one_fits_that_its_trials_do_not_tell_it_from(monkeypatch):
+    quadratic = EFFECTS["quadratic"]
+    shaped = replace(
+        quadratic,
+        id="shaped",
+        unknowns=(*quadratic.unknowns, *EFFECTS["asymmetry"].unknowns),
+        neutral={"square": 0.0, "a": 0.0},
+        shapes=frozenset({"a"}),
+    )
+    subject = plant({"square": 0.2, "a": 0.0042}, effects={**EFFECTS, "shaped": shaped})
+    best, other = (fit_effects(subject, [subject.by_id[id]], [{}]) for id in ("asymmetry", "quadratic"))
+    monkeypatch.setattr("fmuid.diagnosis.diagnose.search", lambda *_, **__: ([best, other], best))
+    outcome = diagnose_subject(subject)
+    assert "shaped" in {twin.effect for s in outcome.scores if s.effect == "quadratic" for twin in s.same}
+    assert outcome.diagnosis.verdict.effects == ("shaped",)
 
 
 class CoarseWithEffect(Mass):

@@ -573,11 +573,16 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
     return fitted
 
 
-def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score]) -> list[Fitted]:
-    """Refit `fitted` with each of its effects replaced by those that were left out in its favour."""
+def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score], *, shaped: bool = False) -> list[Fitted]:
+    """Refit `fitted` with each of its effects replaced by those that were left out in its favour.
+
+    Effects are indistinguishable as far as their trials say. With `shaped`, only those are taken that have shapes,
+    which may fit better than those of their trials.
+    """
     refitted_twins = []
     for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
+        same = tuple(s for s in same if not shaped or subject.by_id[s.effect].shapes)
         rest = without(subject, fitted, name) if same else None
         if rest is not None:
             added = [(add_effect(subject, rest, twin), twin) for twin in same[:_TWINS]]

@@ -242,7 +242,10 @@ def diagnose_subject(
     model = subject.model
     nominal, scores, evidence, paths = searched.nominal, searched.scores, searched.evidence, searched.paths
     if searched.best is not None and evidence.present:
-        others = twins(subject, searched.best, scores)
+        open_ = decide.survivors(searched.best, searched.candidates, observed)
+        near = [c for c in searched.candidates if c not in open_ and decide.comparable(searched.best, c)]
+        others = [twin for one in open_ for twin in twins(subject, one, scores)]
+        others += [twin for one in near for twin in twins(subject, one, scores, shaped=True)]
         as_good = decide.best_of([searched.best, *others], observed)
         searched = replace(searched, candidates=[*searched.candidates, *others], best=as_good)
     classes = decide.merge_equivalent(searched.candidates, nominal, subject.by_id, observed)
