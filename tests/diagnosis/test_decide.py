@@ -536,6 +536,28 @@ def test_laws_of_one_place_are_one_answer_if_no_data_tell_them_apart(apart, clas
     assert len(merged) == classes
 
 
+@pytest.mark.parametrize(
+    ("within", "apart", "classes"),
+    [
+        ("spring", 1.5, [["hardening", "varies"]]),
+        ("gear", 1.5, [["hardening"], ["varies"]]),
+        ("spring", 4.0, [["hardening"], ["varies"]]),
+    ],
+    ids=["its own", "of another component", "told apart"],
+)
+def test_a_coefficient_that_varies_in_its_own_component_is_the_law_of_it_if_both_are_open(within, apart, classes):
+    effects = {
+        "hardening": Effect("hardening", "", "spring", (), {}, (), law="hardening", expression="size*p^3"),
+        "varies": Effect("varies", "", "c", (), {}, (), acts="parameter", over="spring.phi_rel", within=within),
+    }
+    nominal = fitted((), 9.0, residuals=([30.0, 0.0],), cost=900.0)
+    answers = [
+        fitted((n,), 0.0, residuals=([0.0, d],), cost=d * d) for n, d in (("varies", 0.0), ("hardening", apart))
+    ]
+    merged = decide.merge_equivalent(answers, nominal, effects, Recorded(np.array([1.0])))
+    assert [[name for fit in group for name in fit.effects] for group in merged] == classes
+
+
 @pytest.mark.parametrize(("closure", "sure"), [(0.65, False), (0.68, True)])
 def test_an_effect_that_closes_two_thirds_is_sure_though_its_rest_enters_at_its_own_place(
     monkeypatch, closure, sure

@@ -197,15 +197,20 @@ def merge_equivalent(
     Models at different places are one if their predictions differ by less than a thousandth of what their effects
     do: rigidly coupled shafts are one place, and the limit of a heater is its gain. Friction that differs between
     the directions is plain friction where a shaft never reverses: laws of one place need only be equal within the
-    noise. The most usual and simplest of a group comes first, and stands for it.
+    noise. A law of a component and a coefficient that varies with a variable there say the same, and are one where
+    the measurements leave both open. The most usual and simplest of a group comes first, and stands for it; a law
+    of the library leads.
     """
 
-    def preference(fitted: Fitted) -> list[tuple[bool, int, bool]]:
-        return sorted(effects[name].preference for name in fitted.effects)
+    def preference(fitted: Fitted) -> list[tuple[bool, tuple[bool, int, bool]]]:
+        return sorted((bool(effects[name].over), effects[name].preference) for name in fitted.effects)
 
     def alike(a: Fitted, b: Fitted) -> bool:
         if len(a.effects) != len(b.effects) or set(a.effects) == set(b.effects):
             return False
+        only = [effects[name] for x, y in ((a, b), (b, a)) for name in x.effects if name not in y.effects]
+        if len(only) == 2 and (_says_the_same(*only) or _says_the_same(*reversed(only))):
+            return comparable(a, b) and abs(log_odds(a, b, observed)) < np.log(OPEN)
         apart = _apart(a, b, observed)
         if apart > _EQUAL:
             return False
@@ -233,6 +238,15 @@ def _at_one_place(a: Effect, b: Effect) -> bool:
     if a.port == b.port:
         return True
     return (a.law == "value") != (b.law == "value") and _component(a) == _component(b)
+
+
+def _says_the_same(law: Effect, varying: Effect) -> bool:
+    """Return whether a law is how a coefficient of the same component varies with a variable there."""
+    return (
+        bool(varying.within)
+        and (law.port, law.acts, law.over, law.states) == (varying.within, "flow", "", ())
+        and re.search(r"\bp\b", law.expression) is not None
+    )
 
 
 def comparable(best: Fitted, other: Fitted) -> bool:

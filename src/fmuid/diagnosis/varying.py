@@ -240,7 +240,11 @@ def _lines(
         usual = source.near or source.name in _measured(subject)
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
         inputs = {source.text: source.unit} if source.text.startswith(LOGGED) else {}
-        over = Dependence(one.over, source.text, usual, not source.direct or bool(law.states), inputs, among)
+        place = source.name.rpartition(".")[0]
+        within = place if place in one.coefficient.components and not law.memory else ""
+        over = Dependence(
+            one.over, source.text, usual, not source.direct or bool(law.states), inputs, among, within
+        )
         over = replace(over, name=_apart(one)) if apart else over
         lines += effect_lines(one.name, law, Place(port, {**source.sizes, "T": duration}), over)
     return lines
@@ -759,7 +763,6 @@ def course_of(
         y = y * (1.0 + np.interp(x, table.knots[0], table.values))
     chord = y[0] + (y[-1] - y[0]) * (x - x[0]) / (x[-1] - x[0])
     straight = float(np.abs(y - chord).max()) <= _STRAIGHT * abs(float(y[-1] - y[0]))
-    over = effect.id.rpartition("(")[2].rstrip(")")
     declared = case.simulator.variables[parameter].unit or "1"
     slope = float((y[-1] - y[0]) / (x[-1] - x[0]) / p) if straight and p else None
-    return Course(effect.port, declared, over, unit, x, y, slope)
+    return Course(effect.port, declared, effect.over, unit, x, y, slope)

@@ -121,6 +121,9 @@ class Effect:
         Number of candidates of its kind from which it was chosen by a comparison with the same measurements.
     inputs
         Inputs that the model gets for the expression, with their units: logged columns that it does not use.
+    over, within
+        What a coefficient depends on, as in the id, and the component whose coefficient and variable these are;
+        empty for other effects.
     """
 
     id: str
@@ -144,6 +147,8 @@ class Effect:
     variant: bool = False
     inputs: Mapping[str, str] = field(default_factory=dict)
     among: int = 1
+    over: str = ""
+    within: str = ""
 
     @property
     def sizes(self) -> tuple[str, ...]:

@@ -53,6 +53,8 @@ class _Effect(Table):
     variant: bool = False
     inputs: dict[str, str] = msgspec.field(default_factory=dict)
     among: Annotated[int, msgspec.Meta(ge=1)] = 1
+    over: str = ""
+    within: str = ""
 
 
 class _Port(Table):
@@ -177,6 +179,8 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         variant=raw.variant or bool(raw.states) or raw.acts == "cut",
         inputs=dict(raw.inputs),
         among=raw.among,
+        over=raw.over,
+        within=raw.within,
     )
 
 

@@ -164,7 +164,7 @@ class Dependence:
     """What a coefficient depends on: name, Modelica text, whether it is usual and whether it makes a variant.
 
     `inputs` are inputs that the model gets for it, with their units; `among` is the number of dependences that
-    were compared.
+    were compared; `within` is the component whose coefficient and variable these are, if they are of one.
     """
 
     name: str
@@ -173,6 +173,7 @@ class Dependence:
     variant: bool
     inputs: Mapping[str, str]
     among: int = 1
+    within: str = ""
 
 
 def varying_id(parameter: str, over: str) -> str:
@@ -228,7 +229,8 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         *(["two_sided = true"] if law.two_sided else []),
         *([] if usual else ["usual = false"]),
         *(["variant = true"] if variant else []),
-        *([f"among = {over.among}"] if over is not None else []),
+        *([f"among = {over.among}", f"over = {toml_text(over.name)}"] if over is not None else []),
+        *([f"within = {toml_text(over.within)}"] if over is not None and over.within else []),
         *(f"inputs.{toml_text(n)} = {toml_text(unit)}" for n, unit in (over.inputs if over else {}).items()),
         f"trials = [{', '.join(inline(t) for t in trials)}]",
         f"{table}.parameters]",
