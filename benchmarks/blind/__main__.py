@@ -28,6 +28,7 @@ from benchmarks.blind.agreement import disagreements
 from benchmarks.blind.plants.cases import CHECK, REHEARSAL, STRATA, draw_case, measured, numbers, write_case
 from benchmarks.blind.plants.grammar import VERSION
 from benchmarks.blind.plants.network import DivergedError
+from benchmarks.blind.score import in_words
 from benchmarks.study_command import ended
 
 PUBLISHED = Path(__file__).with_name("published")
@@ -59,8 +60,6 @@ def answered(seed: int, number: int, work: Path, labels: Path, limit: float) -> 
 
 
 def _words(record: dict[str, Any]) -> str:
-    from benchmarks.blind.score import in_words
-
     return in_words(record["answer"]) if "answer" in record else f"no answer: {record.get('said', '')[-160:]}"
 
 

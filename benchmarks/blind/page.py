@@ -41,9 +41,10 @@ then says what refits to the end leave (`measured.jsonl`). An effect that leaves
 background. Effects that a case's runs cannot tell
 apart (less than 3 standard deviations over all runs, by the plant) count as one, coefficients that vary included;
 a drag is a damper that grows with speed. A model whose gap is below its tolerance, one floor, is complete. The
-background's effects may be named, and what the runs cannot tell from one of them that is visible itself. Intervals
-hold 90 %; cases cluster by rig, and the intervals allow for it. The interval for a new rig is where the share of a
-rig that is not among these lies. [Earlier checks](history.md) were on rigs that did not stay unseen.
+background's effects may be named, and what the runs cannot tell from one of them that is visible itself. An answer
+that is one model under several names counts by any of them. Intervals hold 90 %; cases cluster by rig, and the
+intervals allow for it. The interval for a new rig is where the share of a rig that is not among these lies.
+[Earlier checks](history.md) were on rigs that did not stay unseen.
 """
 _REGIMES = """\
 Next to the figures that LISDD (arXiv 2606.23215) published of its controlled experiments, which are other systems,

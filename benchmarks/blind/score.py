@@ -85,11 +85,8 @@ class Scored:
     @property
     def verdict(self) -> Mapping[str, Any]:
         """Of the diagnosis; of a case without an answer, an empty one."""
-        return (
-            self.answer["verdict"]
-            if self.answer
-            else {"kind": "none given", "effects": [], "one_of": [], "ports": []}
-        )
+        without = {"kind": "none given", "effects": [], "one_of": [], "ports": []}
+        return self.answer["verdict"] if self.answer else without
 
     @property
     def kind(self) -> str:
@@ -112,9 +109,10 @@ class Scored:
         itself = [f"{truth}({v})" for v in self.label["variable"]] if truth.startswith("varies@") else [truth]
         return any(means(name, one) for one in (*itself, *self.label["same"].get(truth, ())))
 
-    def behind(self, name: str) -> bool:
-        """Return whether a name is one of the background, or one that the runs cannot tell from it."""
-        return any(means(name, n) for n in (*self.label["background_effects"], *self.label["background_same"]))
+    def called(self, names: set[str]) -> list[set[str]]:
+        """Return a set of effects, and those that the answer itself says are the same model in these runs."""
+        groups = [[{canonical(n) for n in one} for one in same] for same in (self.answer or {}).get("equal", [])]
+        return [names, *(one for same in groups if names in same for one in same)]
 
     @property
     def right(self) -> bool:
@@ -122,31 +120,29 @@ class Scored:
         stratum = self.label["stratum"]
         if self.kind == "complete":  # so is a model to its tolerance, a noise floor
             return float(self.label["gap"]) < 1.0
-        if stratum == "none":
-            return False
         if stratum == "unknown" and self.kind == "unknown":
             return True
         return self.kind in _NAMING and all(map(self._true, self.sets))
 
     def _true(self, names: set[str]) -> bool:
-        """Return whether a set has the truth, and otherwise nothing but the background."""
+        """Return whether a set, by one of its names, has the truth, and otherwise nothing but the background."""
         truths = self.label["effects"]
-        whole = all(any(self.is_a(n, truth) for n in names) for truth in truths)
-        return bool(truths) and whole and not self._foreign(names)
+        plain = [one for one in self.called(names) if truths and not self._strange(one)]
+        return any(all(any(self.is_a(n, truth) for n in one) for truth in truths) for one in plain)
 
     def _foreign(self, names: set[str]) -> set[str]:
-        truths = self.label["effects"]
-        return {n for n in names if not self.behind(n) and not any(self.is_a(n, truth) for truth in truths)}
+        """Return the effects of a set, by those of its names that have fewest, that the plant does not have."""
+        return min(map(self._strange, self.called(names)), key=len)
+
+    def _strange(self, names: set[str]) -> set[str]:
+        behind, truths = (*self.label["background_effects"], *self.label["background_same"]), self.label["effects"]
+        known = {n for n in names if any(means(n, o) for o in behind) or any(self.is_a(n, t) for t in truths)}
+        return names - known
 
     @property
     def wrong(self) -> bool:
         """Whether an effect is named that the plant does not have, in every set that the verdict leaves open."""
         return self.kind in _NAMING and all(self._foreign(s) for s in self.sets)
-
-    @property
-    def bad(self) -> set[str]:
-        """Names of the damaged logs."""
-        return {bad_file(k) + ".csv" for k in range(len(self.label["damaged"]))}
 
     @property
     def alarmed(self) -> bool:
@@ -331,7 +327,11 @@ def figures(everything: Sequence[Scored]) -> list[Figure]:
         share(
             "damaged logs refused by name, and no other; the others diagnosed",
             damaged,
-            lambda c: c.answer is not None and {n for n, _ in c.record["refused"]} == c.bad,
+            lambda c: (
+                c.answer is not None
+                and {n for n, _ in c.record["refused"]}
+                == {bad_file(k) + ".csv" for k in range(len(c.label["damaged"]))}
+            ),
         ),
     ]
 

@@ -164,6 +164,22 @@ def test_what_is_right_and_what_is_a_wrong_name(verdict, right, wrong):
     assert (case.right, case.wrong) == (right, wrong)
 
 
+@pytest.mark.parametrize(
+    ("equal", "right", "wrong"),
+    [
+        ([], False, True),
+        ([[["gain@u"], ["coulomb@joint"]]], True, False),
+        ([[["gain@v"], ["lag@u"]]], False, True),
+    ],
+    ids=["one name", "another name is the truth", "names of another answer"],
+)
+def test_an_answer_that_is_one_model_under_several_names_counts_by_any_of_them(equal, right, wrong):
+    record = scored(effects=["gain@u"]).record
+    label = LABEL | {"effects": ["coulomb@joint"], "same": {}, "background_effects": [], "background_same": []}
+    case = Scored(label, record | {"answer": record["answer"] | {"equal": equal}})
+    assert (case.right, case.wrong) == (right, wrong)
+
+
 def test_a_model_is_complete_to_its_tolerance():
     assert scored(kind="complete", gap=0.97).right
     assert not scored(kind="complete", gap=1.1).right
