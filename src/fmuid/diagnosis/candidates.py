@@ -573,7 +573,9 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
     return fitted
 
 
-def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score], *, shaped: bool = False) -> list[Fitted]:
+def twins(
+    subject: Subject, nominal: Fitted, fitted: Fitted, scores: Sequence[Score], *, shaped: bool = False
+) -> list[Fitted]:
     """Refit `fitted` with each of its effects replaced by those that were left out in its favour.
 
     Effects are indistinguishable as far as their trials say. With `shaped`, only those are taken that have shapes,
@@ -583,7 +585,7 @@ def twins(subject: Subject, fitted: Fitted, scores: Sequence[Score], *, shaped: 
     for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
         same = tuple(s for s in same if not shaped or subject.by_id[s.effect].shapes)
-        rest = without(subject, fitted, name) if same else None
+        rest = nominal if len(fitted.effects) == 1 else without(subject, fitted, name) if same else None
         if rest is not None:
             added = [(add_effect(subject, rest, twin), twin) for twin in same[:_TWINS]]
             refitted_twins += [led_out(subject, fit, twin) for fit, twin in added if fit is not None]

@@ -242,10 +242,7 @@ def diagnose_subject(
     model = subject.model
     nominal, scores, evidence, paths = searched.nominal, searched.scores, searched.evidence, searched.paths
     if searched.best is not None and evidence.present:
-        open_ = decide.survivors(searched.best, searched.candidates, observed)
-        near = [c for c in searched.candidates if c not in open_ and decide.comparable(searched.best, c)]
-        others = [twin for one in open_ for twin in twins(subject, one, scores)]
-        others += [twin for one in near for twin in twins(subject, one, scores, shaped=True)]
+        others = _look_alikes(subject, searched, searched.best)
         as_good = decide.best_of([searched.best, *others], observed)
         searched = replace(searched, candidates=[*searched.candidates, *others], best=as_good)
     classes = decide.merge_equivalent(searched.candidates, nominal, subject.by_id, observed)
@@ -421,6 +418,18 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: b
     subject = tightened(subject, trials)
     candidates, best = search(subject, nominal, scores, noise, say, present=evidence.present, again=again)
     return subject, _Searched(nominal, paths, energy, scores, noise, evidence, candidates, best)
+
+
+def _look_alikes(subject: Subject, searched: _Searched, best: Fitted) -> list[Fitted]:
+    """Refit what was left out in favour of effects that are open; of those that come near, what has shapes."""
+    open_ = decide.survivors(best, searched.candidates, subject.observed)
+    known = {frozenset(one.effects) for one in open_}
+    near = {frozenset(c.effects): c for c in searched.candidates if decide.comparable(best, c)}
+    nominal, scores = searched.nominal, searched.scores
+    others = [twin for one in open_ for twin in twins(subject, nominal, one, scores)]
+    for one in (c for effects, c in near.items() if effects not in known):
+        others += twins(subject, nominal, one, scores, shaped=True)
+    return others
 
 
 def _refined(subject: Subject, searched: _Searched) -> tuple[Subject, _Searched]:
