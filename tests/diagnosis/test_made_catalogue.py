@@ -980,7 +980,8 @@ def test_setups_may_have_models_with_other_places(tmp_path, monkeypatch):
 
     assert run(["diagnose", str(tmp_path), "--out", str(tmp_path / "run"), "--no-law", "--workers", "0"]) == 0
     answer = json.loads((tmp_path / "run" / "diagnosis.json").read_text())
-    assert answer["answers"][0]["effects"] == ["loss@sink"]
+    likeliest = [a["effects"] for a in answer["answers"][:2]]  # in three runs, radiation would be much the same
+    assert sorted(likeliest) == [["loss@sink"], ["radiation@sink"]]
     (effect,) = (e for e in answer["effects"] if e["id"] == "loss@sink")
     assert effect["parameters"]["sink.loss"]["value"] == pytest.approx(5.0, rel=0.05)
     corrected = tomllib.loads((tmp_path / "run" / "corrected" / "campaign.toml").read_text())["models"]
