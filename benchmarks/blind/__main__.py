@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +76,7 @@ def _lines(values: Iterable[Any]) -> str:
 
 
 def publish(seed: int, work: Path, labels: Path) -> Path:
-    """Write a seed's labels, answers and hashes of logs as text, and return the folder.
-
-    Cases are published in the order of their numbers, up to the first one that was not diagnosed.
-    """
+    """Write a seed's labels, answers and hashes, up to the first case that was not diagnosed."""
     target = PUBLISHED / str(seed)
     target.mkdir(parents=True, exist_ok=True)
     made, records = [], []
@@ -110,8 +108,9 @@ def _measure(target: Path, labels: Iterable[Mapping[str, Any]]) -> None:
     done = {json.loads(line)["case"] for line in known}
     with file.open("a", encoding="utf-8") as lines:
         for label in (one for one in labels if one["case"] not in done):
-            case = draw_case(label["seed"], label["number"], named=False)
-            lines.write(_lines([{"case": label["case"], **measured(case)}]))
+            with suppress(DivergedError):  # of an effect without the others: the label stays as it was drawn
+                case = draw_case(label["seed"], label["number"], named=False)
+                lines.write(_lines([{"case": label["case"], **measured(case)}]))
             lines.flush()
 
 
