@@ -76,7 +76,7 @@ def _lines(values: Iterable[Any]) -> str:
 
 
 def publish(seed: int, work: Path, labels: Path) -> Path:
-    """Write a seed's labels, answers and hashes, up to the first case that was not diagnosed."""
+    """Write what is published of a seed, up to the first case that was not diagnosed, and return the folder."""
     target = PUBLISHED / str(seed)
     target.mkdir(parents=True, exist_ok=True)
     made, records = [], []

@@ -585,7 +585,9 @@ def twins(
     for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
         same = tuple(s for s in same if not shaped or subject.by_id[s.effect].shapes)
-        rest = nominal if len(fitted.effects) == 1 else without(subject, fitted, name) if same else None
+        if not same:
+            continue
+        rest = nominal if len(fitted.effects) == 1 else without(subject, fitted, name)
         if rest is not None:
             added = [(add_effect(subject, rest, twin), twin) for twin in same[:_TWINS]]
             refitted_twins += [led_out(subject, fit, twin) for fit, twin in added if fit is not None]

@@ -765,4 +765,4 @@ def course_of(
     straight = float(np.abs(y - chord).max()) <= _STRAIGHT * abs(float(y[-1] - y[0]))
     declared = case.simulator.variables[parameter].unit or "1"
     slope = float((y[-1] - y[0]) / (x[-1] - x[0]) / p) if straight and p else None
-    return Course(effect.port, declared, effect.over, unit, x, y, slope)
+    return Course(effect.port, declared, effect.over or source, unit, x, y, slope)
