@@ -40,7 +40,7 @@ The expected closure is for a new experiment, beyond what refitting closes; *unk
 promise none. [How to read a diagnosis](diagnosis.md);
 [what was known beforehand](quality.md#what-was-known-beforehand)."""
 _HOME = """Campaigns from a foreign rig of the actuator's kind. Made by `make sealed`; each whole answer is in\
- `sealed/`. Probabilities were calibrated before 29 November."""
+ `sealed/`. Probabilities of all but s12 and s15 were calibrated before 29 November."""
 _ABROAD = """Rigs of other kinds, each with a plain Modelica model that the catalogue is made from. Made by\
  `make sealed-abroad`; each whole answer is in `sealed/abroad/`."""
 _COLUMNS = [
