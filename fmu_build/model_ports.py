@@ -30,7 +30,7 @@ from fmu_build.flat_model import (
     variable,
 )
 from fmu_build.syntax import Binary, Call, Expression, Reference, Unary, references, walk
-from fmu_build.written_balances import Balance, Coupling, Difference, Share, WrittenBalances
+from fmu_build.written_balances import Balance, Coupling, Difference, Share, WrittenBalances, factors_of, summands
 
 Kind = Choice["node", "branch", "joint", "signal", "loop", "parameter"]
 
@@ -183,6 +183,14 @@ def coefficients(flat: FlatModel, parameter: str | None = None) -> tuple[Coeffic
                 name = f"{v.name}:{determined}"
                 coefficients.append(Coefficient(name, v.unit or "1", (e.origin.component,), tuple(near)))
     return tuple(coefficients)
+
+
+def in_products_with(flat: FlatModel, parameter: str) -> set[str]:
+    """Return the names that multiply or divide a parameter in an equation: the voltage in ``u^2/R``."""
+    names = {parameter, *followers(flat, parameter)}
+    sides = [side for e in flat.equations for side in (e.left, e.right)] + [value for _, value in flat.bindings()]
+    products = ({*factors_of(term)} for side in sides for term in summands(side))
+    return set().union(*(product for product in products if product & names)) - names
 
 
 def equations_with(flat: FlatModel, parameter: str) -> dict[str, int]:

@@ -202,13 +202,13 @@ class WrittenBalances:
         potential = self._find(balance.potential) if balance.potential is not None else ""
         waiting, seen = [*balance.terms], set[str]()
         while potential and waiting:
-            for name in map(self._find, _names_of_term(waiting.pop())):
+            for name in map(self._find, factors_of(waiting.pop())):
                 if name == potential:
                     return True
                 if name not in seen:
                     seen.add(name)
                     e = self._explicit.get(name)
-                    waiting += [] if e is None or e in between else _summands(e)
+                    waiting += [] if e is None or e in between else summands(e)
         return False
 
     def _written(self) -> Iterator[Node]:
@@ -314,7 +314,7 @@ class WrittenBalances:
             return None
         domain, potential, rate, units = physics
         share = Share(i, "right" if left else "left", added=sign < 0, factor=factor)
-        terms = tuple(term for one in sums for term in _summands(one))
+        terms = tuple(term for one in sums for term in summands(one))
         loop = domain == "electrical" and units[0] == "A"
         return Balance(name, e.origin.component, domain, potential, rate, units, share, loop, terms)
 
@@ -411,11 +411,11 @@ def _divided(e: Expression) -> tuple[Expression | None, tuple[Expression, ...]] 
     return None
 
 
-def _summands(e: Expression) -> list[Expression]:
+def summands(e: Expression) -> list[Expression]:
     """Return the terms of a sum."""
     if isinstance(e, Binary) and e.operator in ("+", "-"):
-        return [*_summands(e.left), *_summands(e.right)]
-    return _summands(e.operand) if isinstance(e, Unary) else [e]
+        return [*summands(e.left), *summands(e.right)]
+    return summands(e.operand) if isinstance(e, Unary) else [e]
 
 
 def _exponents(unit: str) -> tuple[Fraction, ...] | None:
@@ -423,13 +423,13 @@ def _exponents(unit: str) -> tuple[Fraction, ...] | None:
     return None if dimension is None else dimension.exponents
 
 
-def _names_of_term(e: Expression) -> Iterator[str]:
-    """Yield the variables in a product, but not those in differences and functions."""
+def factors_of(e: Expression) -> Iterator[str]:
+    """Yield the factors of a product that are names, but not those in its differences and functions."""
     match e:
         case Reference():
             yield flat_name(e)
         case Binary(operator="*" | "/" | "^"):
-            yield from _names_of_term(e.left)
-            yield from _names_of_term(e.right)
+            yield from factors_of(e.left)
+            yield from factors_of(e.right)
         case Unary():
-            yield from _names_of_term(e.operand)
+            yield from factors_of(e.operand)

@@ -536,25 +536,32 @@ def test_laws_of_one_place_are_one_answer_if_no_data_tell_them_apart(apart, clas
     assert len(merged) == classes
 
 
+SPRING = Effect("law", "", "spring", (), {}, (), law="hardening", expression="size*p^3")
+BRUSHES = Effect("law", "", "spring", (), {}, (), law="voltage_drop", acts="potential", expression="size*through")
+DRIVE = Effect("law", "", "spring", (), {}, (), law="saturation")
+LATE = Effect("law", "", "spring", (), {}, (), law="lag")
+
+
 @pytest.mark.parametrize(
-    ("within", "apart", "classes"),
+    ("law", "within", "apart", "one"),
     [
-        ("spring", 1.5, [["hardening", "varies"]]),
-        ("gear", 1.5, [["hardening"], ["varies"]]),
-        ("spring", 4.0, [["hardening"], ["varies"]]),
+        (SPRING, "spring", 1.5, True),
+        (BRUSHES, "spring", 1.5, True),
+        (DRIVE, "spring", 1.5, True),
+        (SPRING, "gear", 1.5, False),
+        (LATE, "spring", 1.5, False),
+        (SPRING, "spring", 4.0, False),
     ],
-    ids=["its own", "of another component", "told apart"],
+    ids=["its own", "of its flow", "of its input", "of another component", "of time", "told apart"],
 )
-def test_a_coefficient_that_varies_in_its_own_component_is_the_law_of_it_if_both_are_open(within, apart, classes):
-    effects = {
-        "hardening": Effect("hardening", "", "spring", (), {}, (), law="hardening", expression="size*p^3"),
-        "varies": Effect("varies", "", "c", (), {}, (), acts="parameter", over="spring.phi_rel", within=within),
-    }
+def test_a_coefficient_that_varies_with_its_own_variable_is_the_law_of_that_if_both_are_open(
+    law, within, apart, one
+):
+    varies = Effect("varies", "", "c", (), {}, (), acts="parameter", over="spring.phi_rel", within=within)
     nominal = fitted((), 9.0, residuals=([30.0, 0.0],), cost=900.0)
-    answers = [
-        fitted((n,), 0.0, residuals=([0.0, d],), cost=d * d) for n, d in (("varies", 0.0), ("hardening", apart))
-    ]
-    merged = decide.merge_equivalent(answers, nominal, effects, Recorded(np.array([1.0])))
+    answers = [fitted((n,), 0.0, residuals=([0.0, d],), cost=d * d) for n, d in (("varies", 0.0), ("law", apart))]
+    merged = decide.merge_equivalent(answers, nominal, {"law": law, "varies": varies}, Recorded(np.array([1.0])))
+    classes = [["law", "varies"]] if one else [["law"], ["varies"]]
     assert [[name for fit in group for name in fit.effects] for group in merged] == classes
 
 

@@ -101,8 +101,8 @@ def test_a_coefficient_that_depends_on_the_temperature_of_its_component(tmp_path
     text = made_catalogue(
         campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.03 * (value - 293.0))), load_simulator
     )
-    first = text[text.index("varies@") :]
-    assert first.startswith("varies@G(T)")
+    assert text[text.index("varies@") :].startswith("varies@G(T)")
+    assert "within" not in text  # no branch has both
 
 
 def test_a_shape_that_another_size_would_change_is_judged_at_the_size_that_fits(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from fmu_build import compile_flat, load
 from fmu_build.errors import ModelicaError
 from fmu_build.instrument import Added, State, Term, instrument
-from fmu_build.model_ports import coefficients
+from fmu_build.model_ports import coefficients, in_products_with
 from fmu_build.syntax import walk
 
 RIGS = Path(__file__).parent / "models" / "Rigs.mo"
@@ -137,3 +137,29 @@ def test_a_parameter_may_vary_in_one_of_its_equations(tmp_path):
     both += [Term("K", "parameter", "3*p")]
     slopes = derivatives(instrument(model, both, added), {"i": 4.0, "w": 3.0})
     assert slopes == {"i": pytest.approx(1.0 - 4.0 - 6.0 * 3.0), "w": pytest.approx(6.0 * 3.0 * 4.0 - 3.0)}
+
+
+OVEN = """
+model Oven
+  parameter Real C = 10;
+  parameter Real R = 2;
+  parameter Real G = 1;
+  parameter Real share = 1/R;
+  input Real u;
+  input Real fan;
+  input Real T_out;
+  Real T(start = 1, fixed = true);
+  Real loss = G*(T - T_out);
+equation
+  C*der(T) = -(share*u^2) - fan - loss;
+end Oven;
+"""
+
+
+def test_names_that_multiply_a_parameter(tmp_path):
+    """Also through a parameter computed from it; those in a difference do not."""
+    file = tmp_path / "Oven.mo"
+    file.write_text(OVEN)
+    model = load(file, "Oven")
+    assert in_products_with(model, "R") == {"u"}
+    assert in_products_with(model, "G") == set()

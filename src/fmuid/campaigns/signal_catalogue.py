@@ -51,6 +51,8 @@ _WORDS = {
 }
 _HARD = 100.0  # a practically abrupt limit
 _ONE_SIGN = 0.05  # of its range: a signal that goes no further below zero never changes its sign
+OF_VALUE = ("saturation", "dead_zone")
+"""Laws by which an input acts as a function of its value, not in proportion to it."""
 _UNUSUAL = ("crosstalk", "play", "rate_limit")
 _REMOVE_NOISE = ("play", "rate_limit")  # a log of a measured input has noise that the plant did not get
 _TWO_SIDED = ("gain", "offset", "drift", "crosstalk")

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import chdtrc, stdtr
 
 from fmu_build.suggest import suggestion
+from fmuid.campaigns.signal_catalogue import OF_VALUE
 from fmuid.core.errors import CampaignError, SimulationError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
@@ -197,9 +198,9 @@ def merge_equivalent(
     Models at different places are one if their predictions differ by less than a thousandth of what their effects
     do: rigidly coupled shafts are one place, and the limit of a heater is its gain. Friction that differs between
     the directions is plain friction where a shaft never reverses: laws of one place need only be equal within the
-    noise. A law of a component and a coefficient that varies with a variable there say the same, and are one where
-    the measurements leave both open. The most usual and simplest of a group comes first, and stands for it; a law
-    of the library leads.
+    noise. A law of a branch or an input and a coefficient that varies with its variable say the same, and are one
+    where the measurements leave both open. The most usual and simplest of a group comes first, and stands for it;
+    a law of the library leads.
     """
 
     def preference(fitted: Fitted) -> list[tuple[bool, tuple[bool, int, bool]]]:
@@ -241,11 +242,11 @@ def _at_one_place(a: Effect, b: Effect) -> bool:
 
 
 def _says_the_same(law: Effect, varying: Effect) -> bool:
-    """Return whether a law is how a coefficient of the same component varies with a variable there."""
+    """Return whether a law is how a coefficient of its branch varies, or one that its input acts through."""
     return (
         bool(varying.within)
-        and (law.port, law.acts, law.over, law.states) == (varying.within, "flow", "", ())
-        and re.search(r"\bp\b", law.expression) is not None
+        and (law.port, law.over, law.states) == (varying.within, "", ())
+        and (re.search(r"\b(p|through)\b", law.expression) is not None or law.law in OF_VALUE)
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from fmu_build import compile_flat
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import Coefficient, coefficients, parameter_port
+from fmu_build.model_ports import Coefficient, coefficients, in_products_with, parameter_port
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import parse, parse_modelica
@@ -77,6 +77,10 @@ class Source:
         Whether it is a variable at the component itself.
     column
         Whether it is a logged column that the model does not use, which becomes an input.
+    factor
+        Whether it multiplies or divides the coefficient.
+    within
+        The branch whose coefficient and variable these are, or the input that multiplies it; else empty.
     """
 
     name: str
@@ -86,6 +90,8 @@ class Source:
     direct: bool = True
     near: bool = False
     column: bool = False
+    factor: bool = False
+    within: str = ""
 
     @property
     def low(self) -> float:
@@ -177,6 +183,12 @@ class _Setup:
         c = self.coefficients[name]
         return c.variables if self.flat is None else (*_ends(self.flat, c), *c.variables)
 
+    def branches(self, name: str) -> Iterator[str]:
+        """Yield the components with two connectors in which a coefficient acts."""
+        if self.flat is not None:
+            ends = [c.component for c in self.flat.connectors.values()]
+            yield from (c for c in self.coefficients[name].components if c and ends.count(c) > 1)
+
     def around(self, name: str) -> list[str]:
         """Return the states that a coefficient may depend on."""
         states = self.linear.states
@@ -240,8 +252,7 @@ def _lines(
         usual = source.near or source.name in _measured(subject)
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
         inputs = {source.text: source.unit} if source.text.startswith(LOGGED) else {}
-        place = source.name.rpartition(".")[0]
-        within = place if place in one.coefficient.components and not law.memory else ""
+        within = "" if law.memory else source.within
         over = Dependence(
             one.over, source.text, usual, not source.direct or bool(law.states), inputs, among, within
         )
@@ -398,8 +409,10 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
         if same is None:
             known.append(unit)
             sources.append(source)
-        elif source.near:
-            sources[same] = replace(sources[same], near=True)
+        else:
+            before = sources[same]
+            near, factor = before.near or source.near, before.factor or source.factor
+            sources[same] = replace(before, near=near, factor=factor)
 
     units = {v: one.unit or "1" for v, one in cases[0][0].simulator.variables.items()}
     signals = {variable: signal for signal, variable in _measured(subject).items()}
@@ -407,6 +420,7 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
     states = [v for s in having for v in s.around(name)]
     inputs = [n for case, _ in cases for n in case.task.inputs]
     near = {*neighbours}
+    factors = {n for s in having if s.flat is not None for n in in_products_with(s.flat, name.partition(":")[0])}
     # Of variables that are equal, a measured signal or an input names a dependence best.
     ordered = dict.fromkeys([*inputs, *signals, *states, *neighbours])
     for variable in ordered:
@@ -414,7 +428,8 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
             direct = all(s.linear.direct(variable) for s in having)
             course = tuple(c[variable] for _, c in cases)
             name_ = signals.get(variable, variable)
-            offer(Source(name_, variable, units.get(variable, "1"), course, direct, variable in near))
+            here, multiplies = variable in near, variable in factors
+            offer(Source(name_, variable, units.get(variable, "1"), course, direct, here, factor=multiplies))
     logs = [[campaign.measurements[id].unused for id in case.experiments] for case, _ in cases]
     for column in (n for n in logs[0][0] if all(n in one for log in logs for one in log)):
         values = tuple(np.mean([one[column].values for one in log], axis=0) for log in logs)
@@ -422,7 +437,14 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
     offer(Source(TIME, TIME, "s", tuple(case.time for case, _ in cases)))
     begun = tuple(case.columns[RUN_TIME][1] for case, _ in cases)
     offer(Source(_OF_RUN, RUN_TIME, "s", begun))
-    return sources
+    branch = next((b for s in having for b in s.branches(name)), "")
+
+    def within(source: Source) -> str:
+        if source.name in inputs:
+            return source.name if source.factor else ""
+        return branch if source.near else ""
+
+    return [replace(source, within=within(source)) for source in sources]
 
 
 def _around(flat: FlatModel, c: Coefficient) -> set[str]:

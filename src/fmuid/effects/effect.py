@@ -122,8 +122,8 @@ class Effect:
     inputs
         Inputs that the model gets for the expression, with their units: logged columns that it does not use.
     over, within
-        What a coefficient depends on, as in the id, and the component whose coefficient and variable these are;
-        empty for other effects.
+        What a coefficient depends on, as in the id, and the branch whose coefficient and variable these are, or
+        the input that multiplies it; empty for other effects.
     """
 
     id: str

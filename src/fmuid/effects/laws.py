@@ -164,7 +164,8 @@ class Dependence:
     """What a coefficient depends on: name, Modelica text, whether it is usual and whether it makes a variant.
 
     `inputs` are inputs that the model gets for it, with their units; `among` is the number of dependences that
-    were compared; `within` is the component whose coefficient and variable these are, if they are of one.
+    were compared; `within` is the branch whose coefficient and variable these are, or the input that multiplies
+    it.
     """
 
     name: str
