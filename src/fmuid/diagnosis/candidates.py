@@ -495,7 +495,7 @@ def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, flo
     unbent = {**fit.values, **subject.starts}
     basis = nominal_basis(fit, subject.observed)
     starts = sorted(
-        (_best_start(subject, [{**at, **size} for size in sizes], basis) for at in (fit.values, unbent)),
+        (_best_start(subject, [{**at, **size} for size in sizes], basis, at) for at in (fit.values, unbent)),
         key=lambda start: start[1],
     )
     enough = (np.inf, fit.cost)
@@ -515,7 +515,7 @@ def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> F
         same |= {u.name: float(np.clip(fitted.fit.values[v.name], u.lower, u.upper)) for u, v in pairs}
     trials = [t for score in exchanged.values() for t in score.trials] if len(exchanged) == 1 else []
     sizes = [{**values, **trial} for trial in (same, *trials)]
-    start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed))
+    start, cost = _best_start(subject, sizes, nominal_basis(fitted.fit, subject.observed), fitted.fit.values)
     kept = [by_id[n] for n in fitted.effects if n not in exchanged]
     effects = [*kept, *(by_id[score.effect] for score in exchanged.values())]
     return fit_effects(subject, effects, [start], rival=fitted.fit.cost) if np.isfinite(cost) else None
@@ -595,15 +595,18 @@ def twins(
 
 
 def _best_start(
-    subject: Subject, starts: Sequence[Mapping[str, float]], basis: FloatArray | None = None
+    subject: Subject,
+    starts: Sequence[Mapping[str, float]],
+    basis: FloatArray | None = None,
+    near: Mapping[str, float] | None = None,
 ) -> tuple[Mapping[str, float], float]:
     """Return the start with the least cost, and that cost, which is infinite if none can be simulated.
 
     With the `basis` of the responses to other parameters, the cost is what a step of these would leave: they may
-    have shifted to imitate what the start adds.
+    have shifted to imitate what the start adds. States that runs begin with are those that fit `near` all starts.
     """
     costs = []
-    for outcome in subject.model.predict(starts):
+    for outcome in subject.model.predict(starts, near):
         if isinstance(outcome, SimulationError):
             costs.append(np.inf)
             continue
