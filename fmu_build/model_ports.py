@@ -11,7 +11,8 @@ and a difference between two balances a branch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal as Choice
@@ -363,9 +364,8 @@ class _Finder:
             for b in branches
             for load, loops in [self._load(b.connectors, branches)]
         ]
-        return (
-            *self._nodes(branches), *branches, *self._joints(branches), *self._written(), *self._signals()
-        )  # fmt: skip
+        connected = [*self._nodes(branches), *branches, *self._joints(branches)]
+        return (*connected, *self._written({port.name for port in connected}), *self._signals())
 
     def _rates(self, potential: str) -> dict[str, Expression]:
         """Return rate and acceleration of a potential, where the model computes them anyway."""
@@ -655,15 +655,31 @@ class _Finder:
                 progress = True
         return False
 
-    def _written(self) -> Iterator[Port]:
-        """Yield the ports of what is stated as equations, in components without connectors of that domain."""
+    def _written(self, taken: Collection[str]) -> Iterator[Port]:
+        """Yield the ports of what is stated as equations, in components without connectors of that domain.
+
+        A coil in a component with a single connector, whose other end is the ground, is a loop with the name of
+        the component, unless that is `taken`.
+        """
+        of = [(self.flat.connectors[path].component, physics) for path, physics in self.physical.items()]
+        has = Counter((component, domain) for component, (domain, *_) in of)
+        grounded = {c for (c, domain), count in has.items() if c and domain == "electrical" and count == 1}
+        through_coils = {
+            flow for component, (domain, _, flow) in of if domain == "electrical" and component in grounded
+        }
         potentials = {self.classes.find(potential) for _, potential, _ in self.physical.values()}
         speeds = {self.classes.find(self.derived[p]) for p in potentials if self.derived.get(p)}
-        flows = {self.classes.find(v.name) for v in self.flat.variables.values() if v.flow}
+        flows = {
+            self.classes.find(v.name)
+            for v in self.flat.variables.values()
+            if v.flow and v.name not in through_coils
+        }
         written = WrittenBalances(self.flat, self.classes.find, self.derived, potentials | speeds | flows)
-        has = {(self.flat.connectors[path].component, physics[0]) for path, physics in self.physical.items()}
         balances = [
-            b for b in written.balances() if not any((b.component, domain) in has for domain in alike(b.domain))
+            b
+            for b in written.balances()
+            if (b.loop and b.component in grounded)
+            or not any((b.component, domain) in has for domain in alike(b.domain))
         ]
         couplings = written.couplings(balances)
         for b in balances:
@@ -672,9 +688,10 @@ class _Finder:
             probes |= {"rate": (b.rate,)} if b.rate is not None else {}
             differentiated, added = b.units
             units = (added, differentiated) if b.loop else b.units
+            alone = b.loop and b.component in grounded and b.component not in taken
             node = Port(
-                f"{b.name}.balance", "loop" if b.loop else "node", b.domain, (), units, quantities, probes,
-                shares=(b.share,), terms=b.terms,
+                b.component if alone else f"{b.name}.balance", "loop" if b.loop else "node", b.domain, (), units,
+                quantities, probes, shares=(b.share,), terms=b.terms,
             )  # fmt: skip
             yield node
             if b.domain in MECHANICAL and written.held(b, couplings):

@@ -30,6 +30,7 @@ INPUTS = {
     "Cart": {"F": 6 * np.sin(4 * TIME)},
     "Plain": {"F": 3 * np.sin(4 * TIME)},
     "Filtered": {"F": 2000 * np.sin(4 * TIME)},
+    "Motor": {"u": 5 * np.sin(9 * TIME)},
 }
 
 
@@ -62,6 +63,7 @@ def simulated(fmu, name, **parameters):
         ("Cart", {"v.balance": "node", "w.balance": "node"}),
         ("Plain", {"v.balance": "node", "x.ground": "branch"}),
         ("Filtered", {"v.balance": "node", "lag.u": "signal"}),
+        ("Motor", {"motor": "loop", "rotor": "node"}),
     ],
 )
 def test_balances_loops_and_differences_are_ports(name, kinds):
@@ -73,6 +75,7 @@ def test_the_laws_there_are_those_of_their_domains():
     assert {"coulomb", "cogging", "imbalance", "inertia"} <= {*laws["Shaft"]["wl.balance"]}
     assert {"backlash", "hardening", "hysteresis"} <= {*laws["Shaft"]["wl.w"]}
     assert {*laws["Loudspeaker"]["i.balance"]} == {"resistance", "voltage_drop", "eddy"}
+    assert laws["Motor"]["motor"] == laws["Loudspeaker"]["i.balance"]
     assert {*laws["Loudspeaker"]["x.ground"]} == {"hardening", "hysteresis"}
     assert {*laws["Tanks"]["h1.balance"]} == {"leakage", "outflow", "overflow", "capacity"}
     assert {*laws["Oven"]["T.balance"]} == {"loss", "radiation", "capacity"}
@@ -119,6 +122,7 @@ def test_an_unknown_unit_is_left_out(tmp_path):
         ("Cart", "w.balance", "flow", "0.02*rate", "b", 0.02),
         ("Plain", "v.balance", "flow", "0.5*rate", "d", 0.5),
         ("Filtered", "v.balance", "flow", "30*rate", "d", 30.0),
+        ("Motor", "motor", "potential", "2*through", "motor.R", 2.0),
     ],
 )
 def test_a_law_does_what_a_larger_parameter_does(name, port, acts, law, parameter, more):

@@ -116,4 +116,56 @@ package Written "Models that state their balances as equations"
     lag.u = F;
     m*der(v) = lag.y - d*v;
   end Filtered;
+  connector Pin
+    Real v(unit = "V");
+    flow Real i(unit = "A");
+  end Pin;
+
+  connector Flange
+    Real phi(unit = "rad");
+    flow Real tau(unit = "N.m");
+  end Flange;
+
+  model Winding "A motor whose other pin is the ground"
+    Pin a;
+    Flange b;
+    parameter Real L(unit = "H") = 0.02;
+    parameter Real R(unit = "Ohm") = 1;
+    parameter Real k(unit = "N.m/A") = 0.1;
+    Real i(unit = "A", start = 0, fixed = true);
+  equation
+    i = a.i;
+    L*der(i) = a.v - R*i - k*der(b.phi);
+    b.tau = -k*i;
+  end Winding;
+
+  model Supply
+    Pin port;
+    input Real u(unit = "V");
+  equation
+    port.v = u;
+  end Supply;
+
+  model Rotor
+    Flange port;
+    parameter Real J(unit = "kg.m2") = 1e-3;
+    Real phi(unit = "rad", start = 0, fixed = true);
+    Real w(unit = "rad/s", start = 0, fixed = true);
+  equation
+    phi = port.phi;
+    w = der(phi);
+    J*der(w) = port.tau;
+  end Rotor;
+
+  model Motor
+    input Real u(unit = "V");
+    output Real w(unit = "rad/s") = rotor.w;
+    output Real i(unit = "A") = motor.i;
+    Winding motor;
+    Rotor rotor;
+    Supply supply(u = u);
+  equation
+    connect(supply.port, motor.a);
+    connect(motor.b, rotor.port);
+  end Motor;
 end Written;
