@@ -540,6 +540,7 @@ SPRING = Effect("law", "", "spring", (), {}, (), law="hardening", expression="si
 BRUSHES = Effect("law", "", "spring", (), {}, (), law="voltage_drop", acts="potential", expression="size*through")
 DRIVE = Effect("law", "", "spring", (), {}, (), law="saturation")
 LATE = Effect("law", "", "spring", (), {}, (), law="lag")
+JOINT = Effect("law", "", "spring", (), {}, (), law="elasticity", acts="cut", expression="p/size")
 
 
 @pytest.mark.parametrize(
@@ -550,9 +551,10 @@ LATE = Effect("law", "", "spring", (), {}, (), law="lag")
         (DRIVE, "spring", 1.5, True),
         (SPRING, "gear", 1.5, False),
         (LATE, "spring", 1.5, False),
+        (JOINT, "spring", 1.5, False),
         (SPRING, "spring", 4.0, False),
     ],
-    ids=["its own", "of its flow", "of its input", "of another component", "of time", "told apart"],
+    ids=["its own", "of its flow", "of its input", "of another component", "of time", "of a joint", "told apart"],
 )
 def test_a_coefficient_that_varies_with_its_own_variable_is_the_law_of_that_if_both_are_open(
     law, within, apart, one

@@ -246,6 +246,7 @@ def _says_the_same(law: Effect, varying: Effect) -> bool:
     return (
         bool(varying.within)
         and (law.port, law.over, law.states) == (varying.within, "", ())
+        and law.acts in ("flow", "potential")
         and (re.search(r"\b(p|through)\b", law.expression) is not None or law.law in OF_VALUE)
     )
 
