@@ -75,6 +75,8 @@ def test_what_is_not_known_is_left_out(tmp_path):
             [["delay@speed"], ["lag@speed"]],
             "Load friction at gear is missing, and either delay at speed or lag at speed (94 %): these sensors",
         ),
+        ("ambiguous", [], [["a"], ["b"], ["c"], ["d"]], "A or b or c or d is missing at"),
+        ("ambiguous", [], [["a"], ["b"], ["c"], ["d"], ["e"]], "A or b or c or one of 2 others is missing at"),
         ("unknown", [], [], "Unknown effect at gear_friction (5 %): no effect"),
         ("insufficient", [], [], "Not enough data"),
         ("effect", ["mesh_loss", "viscous"], [], "Mesh loss and viscous are missing at gear_friction (94 %)"),

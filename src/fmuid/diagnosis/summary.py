@@ -13,6 +13,7 @@ from fmuid.core.formatting import Fact, interval_text, range_text
 from fmuid.diagnosis.decide import CLOSURE_THAT_NAMES, SIGNIFICANCE
 
 _ROWS = 6  # of a table in the terminal
+_LISTED = 3  # alternatives in a sentence, if there are more than one more
 
 
 def summary(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -350,6 +351,8 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
             return _capital(f"{likely}{missing}{at}{sure}, and something else that no effect explains")
         case "ambiguous":
             others = [_listed(names, "with") for names in verdict["one_of"]]
+            if len(others) > _LISTED + 1:  # the table of answers has them all
+                others = [*others[:_LISTED], f"one of {len(others) - _LISTED} others"]
             either = " or ".join(others)
             either = f"{missing}, and either {either}" if effects else f"{either} is missing"
             return _capital(f"{likely}{either}{at}{sure}: these sensors and experiments cannot tell them apart")
