@@ -259,7 +259,7 @@ def test_a_quick_search_begins_twice_only_if_both_starts_promise_something(monke
     nominal = fit_effects(subject, (), [{}])
     (score,) = score_further(subject, nominal)
     costs, begun = iter(promised), []
-    best_start = lambda subject, points, basis: (points[0], next(costs) * nominal.fit.cost)  # noqa: E731
+    best_start = lambda subject, points, *_: (points[0], next(costs) * nominal.fit.cost)  # noqa: E731
     monkeypatch.setattr(candidates, "_best_start", best_start)
     monkeypatch.setattr(candidates, "approach", lambda subject, unknowns, starts, most: begun.extend(starts))
     approach_effect(subject, nominal.fit, score)
