@@ -186,6 +186,14 @@ def coefficients(flat: FlatModel, parameter: str | None = None) -> tuple[Coeffic
     return tuple(coefficients)
 
 
+def across_branches(flat: FlatModel) -> dict[str, str]:
+    """Return the written branch across which each variable is the difference: of ``twist = phi - phil``, say."""
+    nodes = [(d.node, port.name) for port in find_ports(flat) for d in port.differences if not d.rates]
+    explicit = [(flat_name(e.left), e.right) for e in flat.equations if isinstance(e.left, Reference)]
+    explicit += [(name, value) for name, value in flat.bindings()]
+    return {name: branch for name, value in explicit for node, branch in nodes if node == value}
+
+
 def in_products_with(flat: FlatModel, parameter: str) -> set[str]:
     """Return the names that multiply or divide a parameter in an equation: the voltage in ``u^2/R``."""
     names = {parameter, *followers(flat, parameter)}

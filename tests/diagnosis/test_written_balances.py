@@ -214,13 +214,7 @@ def shaft(law, tau, step, fine=20):
             lambda twist, rate, wl: (0.0, -0.06 * np.tanh(wl / 1e-2)),
             ("coulomb@wl.balance", "wl.balance.coulomb", 0.06),
         ),
-        pytest.param(
-            lambda twist, rate, wl: (13.1 * twist**3 / 0.06**2, 0.0),
-            ("hardening@wl.w", None, None),
-            marks=pytest.mark.xfail(
-                strict=True, reason="ambiguous: hardening, or a stiffness that varies with twist"
-            ),
-        ),
+        (lambda twist, rate, wl: (13.1 * twist**3 / 0.06**2, 0.0), ("hardening@wl.w", None, None)),
     ],
     ids=["friction at the load", "hardening of the shaft"],
 )

@@ -18,7 +18,7 @@ import numpy as np
 from fmu_build import compile_flat
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import Coefficient, coefficients, in_products_with, parameter_port
+from fmu_build.model_ports import Coefficient, across_branches, coefficients, in_products_with, parameter_port
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import parse, parse_modelica
@@ -161,11 +161,13 @@ class Scored:
 class _Setup:
     """A setup's model, linearised along its runs.
 
-    `places` are the numbers of the coefficients in the responses; `index` are the numbers of the setup's cases.
+    `across` are the branches of differences (`across_branches`), `places` the numbers of the coefficients in the
+    responses; `index` are the numbers of the setup's cases.
     Without source, `flat` is None.
     """
 
     flat: FlatModel | None
+    across: Mapping[str, str]
     linear: Linearised | LinearisedFmu
     coefficients: Mapping[str, Coefficient]
     places: Mapping[str, int]
@@ -349,7 +351,8 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
     shared = _of_one_flow(places, responses)
     places = {n: k for n, k in places.items() if n not in shared}
-    return _Setup(flat, linear, {n: by_name[n] for n in places}, places, index, courses, responses, known)
+    across = {} if flat is None else across_branches(flat)
+    return _Setup(flat, across, linear, {n: by_name[n] for n in places}, places, index, courses, responses, known)
 
 
 def _of_one_flow(places: Mapping[str, int], responses: Sequence[LinearResponse]) -> set[str]:
@@ -440,6 +443,9 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], nam
     branch = next((b for s in having for b in s.branches(name)), "")
 
     def within(source: Source) -> str:
+        written = next((s.across[source.text] for s in having if source.text in s.across), "")
+        if source.factor and written:
+            return written
         if source.name in inputs:
             return source.name if source.factor else ""
         return branch if source.near else ""
