@@ -525,6 +525,16 @@ def test_a_model_is_named_by_what_left_out_experiments_can_say():
     assert closed_by(nominal, replace(best, judged=lost(9.0))) == pytest.approx(0.025)
 
 
+@pytest.mark.parametrize(("left", "moved", "classes"), [(1.5, 1000.0, 1), (0.0, 1000.0, 2), (1.5, 100.0, 2)])
+def test_the_same_at_two_places_is_one_answer_although_refits_end_a_little_apart(left, moved, classes):
+    """By 0.9 standard deviations: little next to 1.5 floors that are left, and next to what the effects do."""
+    effects = {n: Effect(n, n, port, (), {}, (), law="saturation") for n, port in (("a", "u"), ("b", "valve.u"))}
+    nominal = fitted((), 9.0, residuals=([moved, 0.0],), cost=moved**2)
+    answers = [fitted((n,), left, residuals=([0.0, d],), cost=d * d) for n, d in (("a", 0.0), ("b", 0.9))]
+    merged = decide.merge_equivalent(answers, nominal, effects, Recorded(np.array([1.0])))
+    assert len(merged) == classes
+
+
 @pytest.mark.parametrize(("apart", "classes"), [(0.24, 1), (0.26, 2)])
 def test_laws_of_one_place_are_one_answer_if_no_data_tell_them_apart(apart, classes):
     effects = {n: Effect(n, n, "joint", (), {}, (), law=n) for n in ("coulomb", "viscous")}

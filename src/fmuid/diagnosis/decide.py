@@ -196,11 +196,11 @@ def merge_equivalent(
     """Group models whose predictions are identical.
 
     Models at different places are one if their predictions differ by less than a thousandth of what their effects
-    do: rigidly coupled shafts are one place, and the limit of a heater is its gain. Friction that differs between
-    the directions is plain friction where a shaft never reverses: laws of one place need only be equal within the
-    noise. A law of a branch or an input and a coefficient that varies with its variable say the same, and are one
-    where the measurements leave both open. The most usual and simplest of a group comes first, and stands for it;
-    a law of the library leads.
+    do, and by little next to what they leave: rigidly coupled shafts are one place, and the limit of a heater is
+    its gain. Friction that differs between the directions is plain friction where a shaft never reverses: laws of
+    one place need only be equal within the noise. A law of a branch or an input and a coefficient that varies with
+    its variable say the same, and are one where the measurements leave both open. The most usual and simplest of a
+    group comes first, and stands for it; a law of the library leads.
     """
 
     def preference(fitted: Fitted) -> list[tuple[bool, tuple[bool, int, bool]]]:
@@ -212,12 +212,11 @@ def merge_equivalent(
         only = [effects[name] for x, y in ((a, b), (b, a)) for name in x.effects if name not in y.effects]
         if len(only) == 2 and (_says_the_same(*only) or _says_the_same(*reversed(only))):
             return comparable(a, b) and abs(log_odds(a, b, observed)) < np.log(OPEN)
-        apart = _apart(a, b, observed)
-        if apart > _EQUAL:
-            return False
-        moved = _apart(nominal, a, observed)
+        _, apart, wider = _compared(a, b, observed, None)
+        if apart <= _IDENTICAL * _apart(nominal, a, observed):
+            return apart <= _EQUAL * wider
         here, others = (sorted((effects[name] for name in x.effects), key=_component) for x in (a, b))
-        return apart <= _IDENTICAL * moved or all(map(_at_one_place, here, others))
+        return apart <= _EQUAL and all(map(_at_one_place, here, others))
 
     classes: list[list[Fitted]] = []
     for fitted in sorted(candidates, key=preference):
