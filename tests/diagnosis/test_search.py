@@ -579,7 +579,7 @@ def test_an_effect_at_implausible_bounds_does_not_take_another_one_with_it():
     assert (verdict.kind, verdict.effects) == ("effect", ("first",))
     assert verdict.rest is not None
     # An equivalent effect also stays open.
-    subject = heard({"first": {1: 1.0}, "twin": {1: 1.0, 2: 5e-4}, "second": {2: 1.0}}, {1: 3.0, 2: 0.3})
+    subject = heard({"first": {1: 1.0}, "twin": {1: 1.0, 2: 5e-3}, "second": {2: 1.0}}, {1: 3.0, 2: 0.3})
     verdict = diagnose_subject(replace(subject, effects=(*subject.effects[:2], short))).diagnosis.verdict
     assert (verdict.kind, set(verdict.one_of)) == ("ambiguous", {("first",), ("twin",)})
 
