@@ -603,7 +603,7 @@ def _best_start(
     """Return the start with the least cost, and that cost, which is infinite if none can be simulated.
 
     With the `basis` of the responses to other parameters, the cost is what a step of these would leave: they may
-    have shifted to imitate what the start adds. States that runs begin with are those that fit `near` all starts.
+    have shifted to imitate what the start adds. Runs begin in the states that fit at `near`, or else at the start.
     """
     costs = []
     for outcome in subject.model.predict(starts, near):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from itertools import chain
 
 import numpy as np
@@ -206,15 +207,19 @@ def merge_equivalent(
     def preference(fitted: Fitted) -> list[tuple[bool, tuple[bool, int, bool]]]:
         return sorted((bool(effects[name].over), effects[name].preference) for name in fitted.effects)
 
+    @cache
+    def moved(fitted: Fitted) -> float:
+        return _apart(nominal, fitted, observed)
+
     def alike(a: Fitted, b: Fitted) -> bool:
         if len(a.effects) != len(b.effects) or set(a.effects) == set(b.effects):
             return False
         only = [effects[name] for x, y in ((a, b), (b, a)) for name in x.effects if name not in y.effects]
         if len(only) == 2 and (_says_the_same(*only) or _says_the_same(*reversed(only))):
             return comparable(a, b) and abs(log_odds(a, b, observed)) < np.log(OPEN)
-        _, apart, wider = _compared(a, b, observed, None)
-        if apart <= _IDENTICAL * _apart(nominal, a, observed):
-            return apart <= _EQUAL * wider
+        apart = _apart(a, b, observed)
+        if apart <= _IDENTICAL * moved(a):
+            return apart <= _EQUAL * _compared(a, b, observed, None)[2]
         here, others = (sorted((effects[name] for name in x.effects), key=_component) for x in (a, b))
         return apart <= _EQUAL and all(map(_at_one_place, here, others))
 

@@ -13,7 +13,7 @@ from fmuid.core.formatting import Fact, interval_text, range_text
 from fmuid.diagnosis.decide import CLOSURE_THAT_NAMES, SIGNIFICANCE
 
 _ROWS = 6  # of a table in the terminal
-_LISTED = 3  # alternatives in a sentence, if there are more than one more
+_LISTED = 3  # alternatives in a sentence that would leave out at least two others
 
 
 def summary(diagnosis: Mapping[str, Any]) -> list[str]:
