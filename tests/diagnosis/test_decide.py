@@ -631,6 +631,66 @@ def test_where_what_is_tolerated_is_most_of_the_gap_the_best_answer_that_closes_
     assert [s.effects for s in surviving] == [both.effects]
 
 
+@pytest.mark.parametrize(("sure", "open_"), [("ab", ["a", "b"]), ("b", ["a", "b"]), ("c", ["c"]), ("", [])])
+def test_open_answers_are_compared_with_each_other_and_not_each_with_nothing(monkeypatch, sure, open_):
+    """Of two that fit alike, one closes something beyond chance, as scatter has it; a third one leaves far more."""
+    monkeypatch.setattr(decide, "strained", lambda *_: False)
+    monkeypatch.setattr(decide, "closes_something", lambda _, fit, __: fit.id in sure)
+    a, b = (fitted((n,), 0.5, residuals=[[x], [x]], cost=3.0 * x**2) for n, x in (("a", 0.0), ("b", 0.5)))
+    c = fitted(("c",), 2.0, residuals=[[9.0], [9.0]], cost=243.0)
+    evidence = SimpleNamespace(present=True)
+    searched = SimpleNamespace(nominal=fitted((), 3.0), best=a, candidates=[a, b, c], evidence=evidence)
+    subject = SimpleNamespace(observed=replace(RECORDED, bounded=True), effects=())
+    surviving, _ = diagnose._surviving(subject, searched, lambda _: None)
+    assert [s.id for s in surviving] == open_
+
+
+@pytest.mark.parametrize(("others", "kind"), [((), "partial"), (("b",), "ambiguous")])
+def test_what_leaves_a_rest_hides_no_answer_that_is_open_beside_it(monkeypatch, others, kind):
+    best, *rest = answers = [fitted((n,), 0.8) for n in ("a", *others)]
+    monkeypatch.setattr(diagnose, "_surviving", lambda *_: (tuple(answers), True))
+    monkeypatch.setattr(diagnose, "_sure_part", lambda *_, **__: diagnose._Part(best, ("joint",)))
+    for name, value in {"where_it_enters": {}, "where_left": "v", "finished": False, "likelier": False}.items():
+        monkeypatch.setattr(diagnose, name, lambda *_, value=value: value)
+    for name, value in {"names": True, "beyond_doubt": False, "stable": True, "held_back": ()}.items():
+        monkeypatch.setattr(decide, name, lambda *_, value=value, **__: value)
+    model = SimpleNamespace(cases=[SimpleNamespace(machine="one")])
+    effects = tuple(Effect(a.id, "", "joint", (), {}, ()) for a in answers)
+    subject = SimpleNamespace(observed=RECORDED, effects=effects, model=model, nominal=())
+    evidence = SimpleNamespace(present=True, power=())
+    searched = SimpleNamespace(
+        nominal=fitted((), 3.0), candidates=answers, paths={}, scores=(), noise=None, evidence=evidence
+    )
+    judged = diagnose._judge(subject, searched, None, lambda *_: None)
+    assert (judged.verdict.kind, judged.verdict.rest.gap) == (kind, 0.8)
+    assert judged.surviving == (best, *rest)
+
+
+def test_a_search_beside_errors_of_the_model_knows_what_the_first_one_found(monkeypatch):
+    """It ended elsewhere, while the answer of the first one fits better with its weights too."""
+    first, second = fitted(("a",), 0.5, cost=5.0), fitted(("b",), 0.9, residuals=[[9.0], [9.0]], cost=243.0)
+    beside = Recorded(np.array([4.0, 9.0]))
+    observed = SimpleNamespace(beside_errors=lambda _: beside)
+    nominal, evidence = fitted((), 3.0), SimpleNamespace(present=True)
+
+    def searched(best):
+        return diagnose._Searched(nominal, {}, None, (), None, evidence, [best], best)
+
+    subject = diagnose.Subject(None, observed, (), None, ())
+    again = replace(subject, observed=beside)
+    better = replace(first, gap=0.2, fit=replace(first.fit, residuals=second.fit.residuals, cost=0.0))
+    monkeypatch.setattr(diagnose, "_prediction", lambda *_: ())
+    monkeypatch.setattr(diagnose, "with_states", lambda observed, *_: observed)
+    monkeypatch.setattr(diagnose, "_search_settled", lambda *_, **__: (again, searched(second)))
+    monkeypatch.setattr(diagnose, "refitted", lambda _, one: better if one is first else one)
+    monkeypatch.setattr(decide, "survivors", lambda best, *_: (best,))
+    monkeypatch.setattr(decide, "best_of", lambda fits, _: min(fits, key=lambda f: f.fit.cost))
+    monkeypatch.setattr(decide, "validated", lambda _, fit: 1.0 - fit.gap)
+    found, chosen = diagnose._beside_errors(subject, searched(first), lambda *_: None, seed=0)
+    assert found is again
+    assert chosen.best is better
+
+
 @pytest.mark.parametrize(
     ("scatter", "strained", "best"),
     [

@@ -382,6 +382,11 @@ def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int
         return subject, searched
     again = replace(subject, observed=with_states(observed, subject.model, searched.nominal.fit.values))
     again, second = _search_settled(again, refitted(again, searched.nominal), say, seed=seed, last=True)
+    if searched.best is not None and second.best is not None:  # it may have missed what the first search found
+        open_ = decide.survivors(searched.best, searched.candidates, subject.observed)
+        found = [refitted(again, one) for one in open_ if len(one.effects) == len(second.best.effects)]
+        best = decide.best_of([second.best, *found], again.observed)
+        second = replace(second, candidates=[*second.candidates, *found], best=best)
     closed = [0.0 if one.best is None else decide.validated(one.nominal, one.best) for one in (searched, second)]
     return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, searched)
 
@@ -605,18 +610,17 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
-    best = best if part is None else part.fitted
+    if part is not None and part.fitted is not best:
+        best, surviving = part.fitted, (part.fitted,)
+        named = tuple(dict.fromkeys(at[n] for n in best.effects))
     alone = len(observed.runs) == 1  # another law may do the same with this input
     strange = bool(decide.held_back(best, subject.nominal, observed))
     provisional = provisional or alone or strange or len(best.effects) > decide.MOST_CALIBRATED
-    if part is not None:
-        named = tuple(dict.fromkeys(at[n] for n in best.effects))
-        beside = Rest(best.gap, where_left(subject, best, paths, part.entered))
-        verdict = Verdict("partial", best.effects, (), named, stable, beside, provisional)
-        return Judgement(verdict, (best,), entered)
-    rest = None if done else Rest(best.gap, where_left(subject, best, paths))
+    beside = () if part is None else part.entered
+    rest = None if done else Rest(best.gap, where_left(subject, best, paths, beside))
     if len(surviving) == 1:
-        kind = "partial" if provisional and rest is not None and not named_at_all else "effect"
+        doubted = part is not None or (provisional and rest is not None and not named_at_all)
+        kind = "partial" if doubted else "effect"
         verdict = Verdict(kind, best.effects, (), named, stable, rest, provisional)
         return Judgement(verdict, surviving, entered)
     common = set.intersection(*(set(s.effects) for s in surviving))
@@ -630,21 +634,24 @@ def _surviving(subject: Subject, searched: _Searched, closing: Closing) -> tuple
     """Return the answers that the data leave open, and whether they are plausible.
 
     An effect at implausible bounds, where a law may imitate another one, does not hide plausible ones that close
-    about as much, or those next to it. What closes nothing of a gap is no answer.
+    about as much, or those next to it. What closes nothing of a gap is no answer. Beyond chance, one of the models
+    that leave about as much has to close something: they are compared with each other, not each with nothing.
     """
 
     def plausible(answers: Iterable[Fitted]) -> tuple[Fitted, ...]:
         return tuple(a for a in answers if not decide.strained(a, subject.effects))
 
-    def closes(fitted: Fitted) -> bool:
-        if subject.observed.bounded:
-            return decide.closes_something(searched.nominal, fitted, closing(fitted))
-        return decide.closed_by(searched.nominal, fitted) > 0.0
-
-    best, candidates = searched.best, searched.candidates
+    nominal, best, candidates = searched.nominal, searched.best, searched.candidates
     if searched.evidence.present:
-        candidates = [c for c in candidates if closes(c)]
-        if best is not None and not closes(best):  # what is left may be tolerated, and yet be most of the gap
+        bounded = subject.observed.bounded
+        sure = [c for c in candidates if not bounded or decide.closes_something(nominal, c, closing(c))]
+        candidates = [
+            c
+            for c in candidates
+            if decide.closed_by(nominal, c) > 0.0
+            and any(decide.comparable(s, c) and decide.comparable(c, s) for s in sure)
+        ]
+        if best not in candidates:  # what is left may be tolerated, and yet be most of the gap
             best = decide.best_of(candidates, subject.observed) if candidates else None
     if best is None:
         return (), False
