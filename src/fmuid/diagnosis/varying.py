@@ -476,11 +476,7 @@ def _of(
     """Yield the laws of a coefficient over a source, each with the best of its trials."""
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     tried = [(n, t) for n, law in laws().items() if _suits(law, source) for t in _trials(law, source, duration)]
-    best: dict[str, Scored] = {}
-    for one in _at(subject, having, source, name, tried, basis=basis, residual=residual):
-        if one.name not in best or one.drop > best[one.name].drop:
-            best[one.name] = one
-    yield from best.values()
+    yield from _at(subject, having, source, name, tried, basis=basis, residual=residual)
 
 
 def _at(
@@ -494,40 +490,48 @@ def _at(
     residual: FloatArray,
     sized: bool = False,
 ) -> Iterator[Scored]:
-    """Yield the laws of a coefficient over a source at values of trials; what cannot be evaluated is left out.
+    """Yield the laws of a coefficient over a source, each with the best of its trials that can be evaluated.
 
     Trials of laws that are linear in their size show the response to any size, unless they are `sized` and the
     model follows another power of the coefficient.
     """
-    kept: list[tuple[str, Mapping[str, float]]] = []
-    rows: list[tuple[FloatArray, ...]] = []
-    time = [subject.model.cases[k].time for s in having for k in s.index]
-    power = float(np.median([r.powers[s.places[name]] for s in having for r in s.responses]))
+    trials: dict[str, list[Mapping[str, float]]] = {}
     for law_name, trial in tried:
-        changes = [_acting(c, power) for c in _changes(laws()[law_name], source.courses, time, trial)]
-        if all(np.isfinite(c).all() for c in changes) and any(np.ptp(c) > 0.0 for c in changes):
-            kept.append((law_name, trial))
-            rows.append(tuple(changes))
-    if not rows:
+        trials.setdefault(law_name, []).append(trial)
+    time = [subject.model.cases[k].time for s in having for k in s.index]
+    ends = np.cumsum([len(t) for t in time])[:-1]
+    power = float(np.median([r.powers[s.places[name]] for s in having for r in s.responses]))
+    rows: list[FloatArray] = []
+    for law_name, of_law in trials.items():
+        changes = _acting(_changes(laws()[law_name], source.courses, time, of_law), power)
+        moves = np.any([np.ptp(run, axis=1) > 0.0 for run in np.split(changes, ends, axis=1)], axis=0)
+        kept = np.isfinite(changes).all(axis=1) & moves
+        rows.append(changes[kept])
+        trials[law_name] = [trial for trial, there in zip(of_law, kept, strict=True) if there]
+    if not any(map(len, rows)):
         return
-    moved = _moved(subject, having, name, [np.array(one) for one in zip(*rows, strict=True)])
+    moved = _moved(subject, having, name, np.split(np.concatenate(rows), ends, axis=1))
     signatures = project_off(moved.T, basis).T
-    lengths = np.linalg.norm(signatures, axis=1)
-    for (law_name, trial), row, whole, signature, length in zip(
-        kept, rows, moved, signatures, lengths, strict=True
-    ):
-        if not length > 1e-3 * float(np.linalg.norm(whole)):
-            continue
-        law = laws()[law_name]
-        amount = -float(signature @ residual) / length
-        drop = amount**2 if amount > 0.0 or law.two_sided else 0.0
-        fitting = float(amount / length)
+    lengths, wholes = (np.linalg.norm(m, axis=1) for m in (signatures, moved))
+    shown = lengths > 1e-3 * wholes
+    lengths = np.where(shown, lengths, 1.0)
+    amounts = -(signatures @ residual) / lengths
+    begin = 0
+    for (law_name, of_law), changes in zip(trials.items(), rows, strict=True):
+        law, part = laws()[law_name], slice(begin, begin + len(of_law))
+        begin, amount, length = part.stop, amounts[part], lengths[part]
+        fitting, drops = amount / length, np.where((amount > 0.0) | law.two_sided, amount**2, 0.0)
         if not _linear(law) or (sized and power != 1.0):  # another size is another shape
-            fitting = float(np.clip(fitting, *_ABOUT_ONE))
-            drop = float(length) ** 2 * fitting * (2.0 * amount / float(length) - fitting)
-        change = abs(fitting) * max(float(np.abs(c).max()) for c in row)
-        coefficient = having[0].coefficients[name]
-        yield Scored(coefficient, source, law_name, trial, drop, change, signature / length, fitting, power)
+            fitting = np.clip(fitting, *_ABOUT_ONE)
+            drops = length**2 * fitting * (2.0 * amount / length - fitting)
+        if not shown[part].any():
+            continue
+        k = int(np.argmax(np.where(shown[part], drops, -np.inf)))
+        change = float(abs(fitting[k]) * np.abs(changes[k]).max())
+        coefficient, signature = having[0].coefficients[name], signatures[begin - len(of_law) + k] / length[k]
+        yield Scored(
+            coefficient, source, law_name, of_law[k], float(drops[k]), change, signature, float(fitting[k]), power
+        )
 
 
 def _acting(changes: FloatArray, power: float) -> FloatArray:
@@ -549,8 +553,8 @@ def _shaped(
     coefficient, source = every[0].coefficient.name, every[0].source
     linear = [one for one in every if not one.scales and _linear(one.law)]
     fitting = [(one.name, trial) for one in linear for trial in _fitting(one)]
-    resized = [*_at(subject, having, source, coefficient, fitting, basis=basis, residual=residual, sized=True)]
-    best = {one.name: one for one in (*every, *sorted(resized, key=lambda one: one.drop))}
+    resized = _at(subject, having, source, coefficient, fitting, basis=basis, residual=residual, sized=True)
+    best = {one.name: one for one in (*every, *resized)}
     part, bounds = dict.fromkeys(best, _PART), {name: _bounds(one) for name, one in best.items()}
     for _ in range(_ROUNDS):
         tried = [
@@ -664,26 +668,31 @@ def _linear(law: Law) -> bool:
 
 
 def _changes(
-    law: Law, courses: Sequence[FloatArray], times: Sequence[FloatArray], values: Mapping[str, float]
-) -> list[FloatArray]:
-    """Return the relative changes of a coefficient over the courses of its source, one for each run."""
+    law: Law, courses: Sequence[FloatArray], times: Sequence[FloatArray], trials: Sequence[Mapping[str, float]]
+) -> FloatArray:
+    """Return the (R, N) relative changes of a coefficient over the courses of its source, for each of R trials."""
     x, ends = np.concatenate(courses), np.cumsum([len(t) for t in times])[:-1]
-    columns: dict[str, FloatArray | float] = {**values, "x": x, "p": 1.0}
+    shape = len(trials), len(x)
+    columns: dict[str, FloatArray] = {"x": x, "p": np.ones(1)}
+    columns |= {key: np.array([[trial[key]] for trial in trials]) for key in trials[0]}
     for state, one in law.states.items():
-        heats = np.split(_evaluated(one.derivative, {**columns, state: 0.0}, x) * values["lag"], ends)
-        keeps = [np.exp(-float(np.mean(np.diff(time))) / values["lag"]) for time in times]
-        warmed = [
-            first_order((1.0 - keep) * np.append(0.0, heat[:-1]), keep)
-            for heat, keep in zip(heats, keeps, strict=True)
-        ]
-        columns[state] = np.concatenate(warmed)
-    return np.split(_evaluated(law.of(COEFFICIENT), columns, x) - 1.0, ends)
+        heats = _evaluated(one.derivative, {**columns, state: np.zeros(1)}, shape) * columns["lag"]
+        columns[state] = np.array([
+            np.concatenate([_warmed(part, time, trial["lag"]) for part, time in zip(parts, times, strict=True)])
+            for parts, trial in zip((np.split(heat, ends) for heat in heats), trials, strict=True)
+        ])  # fmt: skip
+    return _evaluated(law.of(COEFFICIENT), columns, shape) - 1.0
 
 
-def _evaluated(text: str, columns: Mapping[str, FloatArray | float], like: FloatArray) -> FloatArray:
+def _warmed(heat: FloatArray, time: FloatArray, lag: float) -> FloatArray:
+    """Return the state of a law that follows `heat` with a lag."""
+    keep = np.exp(-float(np.mean(np.diff(time))) / lag)
+    return first_order((1.0 - keep) * np.append(0.0, heat[:-1]), keep)
+
+
+def _evaluated(text: str, columns: Mapping[str, FloatArray], shape: tuple[int, int]) -> FloatArray:
     expression = parse_modelica(text)
-    values = expression.of_samples({n: np.asarray(columns[n], dtype=np.float64) for n in expression.names})
-    return np.broadcast_to(values, like.shape)
+    return np.broadcast_to(expression.of_samples({n: columns[n] for n in expression.names}), shape)
 
 
 def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Sequence[FloatArray]) -> FloatArray:
