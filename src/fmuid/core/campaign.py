@@ -322,13 +322,15 @@ class EffectsSpec:
 
     `nominal` names the campaign parameters of the base model; they are refitted with every effect. `tie` sets
     FMU variables (also slices such as ``lossTable[:,4:5]``) to expressions of campaign parameters.
-    `experiments` are the runs to use. Without a `catalogue`, one is made from the models.
+    `experiments` are the runs to use. Without a `catalogue`, one is made from the models, for which these were
+    `fitted`: nominal parameters in the unit of the model.
     """
 
     catalogue: Path | None = None
     nominal: tuple[str, ...] = ()
     tie: Mapping[str, str] = field(default_factory=dict)
     experiments: tuple[str, ...] = ()
+    fitted: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:

@@ -218,7 +218,7 @@ def diagnose_subject(
     subject = replace(subject, observed=replace(subject.observed, predicted=begin))
     model, observed = subject.model, subject.observed
     say("refitting the nominal parameters", 0.02)
-    fit = refit_only(subject, (), [{}])
+    fit = refit_only(subject, (), [subject.fitted])
     if fit is None:
         raise SimulationError("the nominal model cannot be refitted", fix="check its start values")
     clean = without_spikes(subject, _prediction(subject, fit.values), fit.values)

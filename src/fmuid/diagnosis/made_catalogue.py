@@ -288,8 +288,8 @@ def with_catalogue(
                 fix='give [models.<setup>] source = "Model.mo"',
             )
     else:
-        text = made_catalogue(campaign, load, runner=runner)
-        spec = replace(_spec(campaign), catalogue=_in_cache(text))
+        text, fitted = _made(campaign, load, runner)
+        spec = replace(_spec(campaign), catalogue=_in_cache(text), fitted=fitted)
         catalogue = load_catalogue(spec.file)
     carriers, models = {}, dict(campaign.models)
     ports = {e.port for e in catalogue.effects.values() if e.expression}
@@ -379,6 +379,13 @@ def made_catalogue(
     campaign: Campaign, load: Callable[[ModelSpec], Simulator], *, runner: Runner = in_process
 ) -> str:
     """Return the text of the catalogue of a campaign's models, sized by the refitted models in the runs."""
+    return _made(campaign, load, runner)[0]
+
+
+def _made(
+    campaign: Campaign, load: Callable[[ModelSpec], Simulator], runner: Runner
+) -> tuple[str, Mapping[str, float]]:
+    """Return the text of a campaign's catalogue, and the values of the refit that sized it, if there was one."""
     setups, states = _sources(campaign), exchanged(campaign)
     named = experiments_of(campaign, _spec(campaign).experiments, where="[effects] experiments")
     chosen = named or _seen(campaign)
@@ -403,7 +410,7 @@ def made_catalogue(
     signals = signal_catalogue(recorded)
     plain = catalogue_text([], held, signals)
     if not setups and not states:
-        return plain
+        return plain, {}
     subject = _plain_subject(campaign, plain, setups, load, runner)
     fit = refit_only(subject, (), [{}])
     at = {} if fit is None else fit.values
@@ -415,7 +422,7 @@ def made_catalogue(
             parts += _at_states(states[name], simulated, at)
     text = catalogue_text(_merged(parts), held, signals)
     if fit is None:
-        return text
+        return text, {}
 
     def costs(lines: Sequence[str]) -> dict[str, float]:
         alone = "\n".join([catalogue_text([], {}, HEAD), *lines])
@@ -425,7 +432,8 @@ def made_catalogue(
 
     varying: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **states}
     known = tomllib.loads(text)["ports"]
-    return "\n".join([text, *varying_lines(subject, fit, campaign, varying, known, costs=costs)])
+    lines = varying_lines(subject, fit, campaign, varying, known, costs=costs)
+    return "\n".join([text, *lines]), fit.values
 
 
 def _parameters(setup: _Setup | None, simulator: Simulator) -> dict[str, str]:

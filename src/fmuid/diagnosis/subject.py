@@ -157,7 +157,8 @@ class Subject:
 
     `recordings` are the runs in use, by id, with their digests. `modelled` are the effects of the catalogue that
     the campaign's own values put into the model, with these values: they are not candidates. `tolerances` are the
-    largest errors that the user tolerates, by signal.
+    largest errors that the user tolerates, by signal. `fitted` are values of nominal parameters near which a refit
+    of the plain model ends, if one is known.
     """
 
     model: CampaignModel
@@ -170,6 +171,7 @@ class Subject:
     findings: tuple[str, ...] = ()
     outliers: tuple[LeftOut, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)
+    fitted: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def by_id(self) -> Mapping[str, Effect]:
@@ -254,8 +256,9 @@ def subject_of(
     recordings = {e.id: e.digest for e in chosen}
     stages = last_stages(campaign)
     findings += findings_of(model, stages)
-    observed = with_states(Observed.from_runs(model.runs), model, begin)
-    return Subject(model, observed, nominal, catalogue, effects, recordings, modelled, findings, outliers)
+    observed = with_states(Observed.from_runs(model.runs), model, {**begin, **spec.fitted})
+    told = recordings, modelled, findings, outliers
+    return Subject(model, observed, nominal, catalogue, effects, *told, fitted=spec.fitted)
 
 
 def without_spikes(subject: Subject, predicted: Prediction, values: Mapping[str, float]) -> Subject:
