@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fmuid.diagnosis import decide, diagnose
+from fmuid.diagnosis import candidates, decide, diagnose
 from fmuid.diagnosis.candidates import Fitted, _log_prior
 from fmuid.diagnosis.cross_validation import HeldOut
 from fmuid.diagnosis.decide import (
@@ -42,6 +42,14 @@ class Recorded:
     @property
     def groups(self):
         return tuple(range(len(self.repeats)))
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """The score of an effect, and those that stand for the same."""
+
+    effect: str
+    same: tuple["Tried", ...] = ()
 
 
 def lost(*loss):
@@ -577,6 +585,25 @@ def test_a_coefficient_that_varies_with_its_own_variable_is_the_law_of_that_if_b
     assert [[name for fit in group for name in fit.effects] for group in merged] == classes
 
 
+@pytest.mark.parametrize(("within", "refitted"), [("spring", ["alike", "law"]), ("gear", ["alike"])])
+def test_a_law_that_says_the_same_is_refitted_whatever_its_trials_say(monkeypatch, within, refitted):
+    """Trials of the law look like another coefficient that varies, not like the one that is open."""
+    varies = Effect("varies", "", "k", (), {}, (), law="varies_linear", over="twist", within=within)
+    alike, law, known = (Tried(n) for n in ("alike", "law", "known"))
+    scores = Tried("varies", (alike, known)), Tried("other", (law,))
+    monkeypatch.setattr(
+        candidates, "add_effect", lambda _, rest, score: fitted((*rest.effects, score.effect), 0.0)
+    )
+    monkeypatch.setattr(candidates, "led_out", lambda _, fit, __: fit)
+    effects = {n: Effect(n, "", "k", (), {}, ()) for n in ("alike", "other", "known")} | {
+        "law": SPRING,
+        "varies": varies,
+    }
+    subject = SimpleNamespace(by_id={name: replace(one, id=name) for name, one in effects.items()})
+    found = candidates.twins(subject, fitted((), 3.0), fitted(("varies",), 0.5), scores, {frozenset({"known"})})
+    assert [f.id for f in found] == refitted
+
+
 @pytest.mark.parametrize(("closure", "sure"), [(0.65, False), (0.68, True)])
 def test_an_effect_that_closes_two_thirds_is_sure_though_its_rest_enters_at_its_own_place(
     monkeypatch, closure, sure
@@ -645,8 +672,11 @@ def test_open_answers_are_compared_with_each_other_and_not_each_with_nothing(mon
     assert [s.id for s in surviving] == open_
 
 
-@pytest.mark.parametrize(("others", "kind"), [((), "partial"), (("b",), "ambiguous")])
-def test_what_leaves_a_rest_hides_no_answer_that_is_open_beside_it(monkeypatch, others, kind):
+@pytest.mark.parametrize(
+    ("others", "bounded", "kind"),
+    [((), True, "partial"), (("b",), True, "ambiguous"), (("b",), False, "partial")],
+)
+def test_what_leaves_a_rest_in_single_runs_hides_no_open_answer(monkeypatch, others, bounded, kind):
     best, *rest = answers = [fitted((n,), 0.8) for n in ("a", *others)]
     monkeypatch.setattr(diagnose, "_surviving", lambda *_: (tuple(answers), True))
     monkeypatch.setattr(diagnose, "_sure_part", lambda *_, **__: diagnose._Part(best, ("joint",)))
@@ -656,14 +686,16 @@ def test_what_leaves_a_rest_hides_no_answer_that_is_open_beside_it(monkeypatch, 
         monkeypatch.setattr(decide, name, lambda *_, value=value, **__: value)
     model = SimpleNamespace(cases=[SimpleNamespace(machine="one")])
     effects = tuple(Effect(a.id, "", "joint", (), {}, ()) for a in answers)
-    subject = SimpleNamespace(observed=RECORDED, effects=effects, model=model, nominal=())
+    subject = SimpleNamespace(
+        observed=replace(RECORDED, bounded=bounded), effects=effects, model=model, nominal=()
+    )
     evidence = SimpleNamespace(present=True, power=())
     searched = SimpleNamespace(
         nominal=fitted((), 3.0), candidates=answers, paths={}, scores=(), noise=None, evidence=evidence
     )
     judged = diagnose._judge(subject, searched, None, lambda *_: None)
     assert (judged.verdict.kind, judged.verdict.rest.gap) == (kind, 0.8)
-    assert judged.surviving == (best, *rest)
+    assert judged.surviving == (best, *(rest if kind == "ambiguous" else ()))
 
 
 def test_a_search_beside_errors_of_the_model_knows_what_the_first_one_found(monkeypatch):

@@ -14,13 +14,15 @@ in an identification (`fmuid.identification.uncertainty.coloured_residuals`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
+from fmuid.campaigns.signal_catalogue import OF_VALUE
 from fmuid.core.errors import SimulationError
 from fmuid.core.immutable import FloatArray
 from fmuid.data.noise.level import GAP_THAT_MATTERS
@@ -574,24 +576,45 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
 
 
 def twins(
-    subject: Subject, nominal: Fitted, fitted: Fitted, scores: Sequence[Score], *, shaped: bool = False
+    subject: Subject,
+    nominal: Fitted,
+    fitted: Fitted,
+    scores: Sequence[Score],
+    known: Collection[frozenset[str]] = (),
+    *,
+    shaped: bool = False,
 ) -> list[Fitted]:
     """Refit `fitted` with each of its effects replaced by those that were left out in its favour.
 
     Effects are indistinguishable as far as their trials say. With `shaped`, only those are taken that have shapes,
-    which may fit better than those of their trials.
+    which may fit better than those of their trials. Laws that say the same as a coefficient that varies give the
+    name where they fit as well, so they are refitted whatever their trials say. What is `known` is not refitted.
     """
     refitted_twins = []
+    every = [one for score in scores for one in (score, *score.same)]
     for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
-        same = tuple(s for s in same if not shaped or subject.by_id[s.effect].shapes)
-        if not same:
+        chosen = [s for s in same if not shaped or subject.by_id[s.effect].shapes][:_TWINS]
+        chosen += [s for s in every if says_the_same(subject.by_id[s.effect], subject.by_id[name])]
+        others = {*fitted.effects} - {name}
+        fresh = [s for s in dict.fromkeys(chosen) if frozenset({*others, s.effect}) not in known]
+        if not fresh:
             continue
-        rest = nominal if len(fitted.effects) == 1 else without(subject, fitted, name)
+        rest = nominal if not others else without(subject, fitted, name)
         if rest is not None:
-            added = [(add_effect(subject, rest, twin), twin) for twin in same[:_TWINS]]
+            added = [(add_effect(subject, rest, twin), twin) for twin in fresh]
             refitted_twins += [led_out(subject, fit, twin) for fit, twin in added if fit is not None]
     return refitted_twins
+
+
+def says_the_same(law: Effect, varying: Effect) -> bool:
+    """Return whether a law is how a coefficient of its branch varies, or one that its input acts through."""
+    return (
+        bool(varying.within)
+        and (law.port, law.over, law.states) == (varying.within, "", ())
+        and law.acts in ("flow", "potential")
+        and (re.search(r"\b(p|through)\b", law.expression) is not None or law.law in OF_VALUE)
+    )
 
 
 def _best_start(

@@ -16,12 +16,11 @@ import numpy as np
 from scipy.special import chdtrc, stdtr
 
 from fmu_build.suggest import suggestion
-from fmuid.campaigns.signal_catalogue import OF_VALUE
 from fmuid.core.errors import CampaignError, SimulationError, UnitError
 from fmuid.core.immutable import FloatArray
 from fmuid.core.units import conversion
 from fmuid.data.noise.level import GAP_THAT_MATTERS
-from fmuid.diagnosis.candidates import Fitted
+from fmuid.diagnosis.candidates import Fitted, says_the_same
 from fmuid.diagnosis.cross_validation import HeldOut, advantage, closure
 from fmuid.diagnosis.free_functions import Decoy
 from fmuid.diagnosis.observed import Observed, gap, orthonormal, project_off
@@ -215,7 +214,7 @@ def merge_equivalent(
         if len(a.effects) != len(b.effects) or set(a.effects) == set(b.effects):
             return False
         only = [effects[name] for x, y in ((a, b), (b, a)) for name in x.effects if name not in y.effects]
-        if len(only) == 2 and (_says_the_same(*only) or _says_the_same(*reversed(only))):
+        if len(only) == 2 and (says_the_same(*only) or says_the_same(*reversed(only))):
             return comparable(a, b) and abs(log_odds(a, b, observed)) < np.log(OPEN)
         apart = _apart(a, b, observed)
         if apart <= _IDENTICAL * moved(a):
@@ -243,16 +242,6 @@ def _at_one_place(a: Effect, b: Effect) -> bool:
     if a.port == b.port:
         return True
     return (a.law == "value") != (b.law == "value") and _component(a) == _component(b)
-
-
-def _says_the_same(law: Effect, varying: Effect) -> bool:
-    """Return whether a law is how a coefficient of its branch varies, or one that its input acts through."""
-    return (
-        bool(varying.within)
-        and (law.port, law.over, law.states) == (varying.within, "", ())
-        and law.acts in ("flow", "potential")
-        and (re.search(r"\b(p|through)\b", law.expression) is not None or law.law in OF_VALUE)
-    )
 
 
 def comparable(best: Fitted, other: Fitted) -> bool:

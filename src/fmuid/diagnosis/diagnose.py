@@ -428,12 +428,13 @@ def _searched(subject: Subject, nominal: Fitted, say: Say, *, seed: int, last: b
 def _look_alikes(subject: Subject, searched: _Searched, best: Fitted) -> list[Fitted]:
     """Refit what was left out in favour of effects that are open; of those that come near, what has shapes."""
     open_ = decide.survivors(best, searched.candidates, subject.observed)
-    known = {frozenset(one.effects) for one in open_}
     near = {frozenset(c.effects): c for c in searched.candidates if decide.comparable(best, c)}
     nominal, scores = searched.nominal, searched.scores
-    others = [twin for one in open_ for twin in twins(subject, nominal, one, scores)]
-    for one in (c for effects, c in near.items() if effects not in known):
-        others += twins(subject, nominal, one, scores, shaped=True)
+    known = {frozenset(c.effects) for c in searched.candidates}
+    others = [twin for one in open_ for twin in twins(subject, nominal, one, scores, known)]
+    of_open = {frozenset(one.effects) for one in open_}
+    for one in (c for effects, c in near.items() if effects not in of_open):
+        others += twins(subject, nominal, one, scores, known, shaped=True)
     return others
 
 
@@ -610,7 +611,8 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
         kind: Kind = "insufficient" if observed.bounded else "unknown"
         return Judgement(Verdict(kind, ports=places(entered)), surviving, entered)
     stable = decide.stable(surviving, [nominal, *searched.candidates], observed)
-    if part is not None and part.fitted is not best:
+    # With repeats, what predicts left-out runs is sure. Without them, the rest may be noise, and odds are short.
+    if part is not None and (part.fitted is not best or not observed.bounded):
         best, surviving = part.fitted, (part.fitted,)
         named = tuple(dict.fromkeys(at[n] for n in best.effects))
     alone = len(observed.runs) == 1  # another law may do the same with this input
