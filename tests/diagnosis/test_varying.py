@@ -97,6 +97,14 @@ def test_a_complete_model_has_no_coefficient_that_varies(tmp_path):
     assert "varies" not in text
 
 
+def test_a_diagnosis_begins_where_the_refit_that_sized_its_catalogue_ended(tmp_path):
+    diagnosed = fmuid.diagnose(campaign(tmp_path, lambda value, wind, time: 21.0))
+    begun, start = diagnosed.subject.fitted, diagnosed.subject.starts
+    assert begun["G"] == pytest.approx(21.0, rel=0.01)
+    assert diagnosed.nominal.fit.values == pytest.approx(dict(begun), rel=1e-3)
+    assert start["G"] != pytest.approx(21.0, rel=0.01)  # what the gap before the refit is measured from
+
+
 def test_a_coefficient_that_depends_on_the_temperature_of_its_component(tmp_path):
     text = made_catalogue(
         campaign(tmp_path, lambda value, wind, time: 20.0 * (1.0 + 0.03 * (value - 293.0))), load_simulator
