@@ -600,8 +600,8 @@ def test_a_law_that_says_the_same_is_refitted_whatever_its_trials_say(monkeypatc
         "varies": varies,
     }
     subject = SimpleNamespace(by_id={name: replace(one, id=name) for name, one in effects.items()})
-    found = candidates.twins(subject, fitted((), 3.0), fitted(("varies",), 0.5), scores, {frozenset({"known"})})
-    assert [f.id for f in found] == refitted
+    others = candidates.twins(subject, fitted((), 3.0), fitted(("varies",), 0.5), scores, {frozenset({"known"})})
+    assert [f.id for f in others] == refitted
 
 
 @pytest.mark.parametrize(("closure", "sure"), [(0.65, False), (0.68, True)])
@@ -699,7 +699,7 @@ def test_what_leaves_a_rest_in_single_runs_hides_no_open_answer(monkeypatch, oth
 
 
 def test_a_search_beside_errors_of_the_model_knows_what_the_first_one_found(monkeypatch):
-    """It ended elsewhere, while the answer of the first one fits better with its weights too."""
+    """It ended elsewhere, while the answer of the first one also fits better with its weights."""
     first, second = fitted(("a",), 0.5, cost=5.0), fitted(("b",), 0.9, residuals=[[9.0], [9.0]], cost=243.0)
     beside = Recorded(np.array([4.0, 9.0]))
     observed = SimpleNamespace(beside_errors=lambda _: beside)
@@ -718,8 +718,8 @@ def test_a_search_beside_errors_of_the_model_knows_what_the_first_one_found(monk
     monkeypatch.setattr(decide, "survivors", lambda best, *_: (best,))
     monkeypatch.setattr(decide, "best_of", lambda fits, _: min(fits, key=lambda f: f.fit.cost))
     monkeypatch.setattr(decide, "validated", lambda _, fit: 1.0 - fit.gap)
-    found, chosen = diagnose._beside_errors(subject, searched(first), lambda *_: None, seed=0)
-    assert found is again
+    subject, chosen = diagnose._beside_errors(subject, searched(first), lambda *_: None, seed=0)
+    assert subject is again
     assert chosen.best is better
 
 

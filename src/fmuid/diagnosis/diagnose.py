@@ -384,9 +384,9 @@ def _beside_errors(subject: Subject, searched: _Searched, say: Say, *, seed: int
     again, second = _search_settled(again, refitted(again, searched.nominal), say, seed=seed, last=True)
     if searched.best is not None and second.best is not None:  # it may have missed what the first search found
         open_ = decide.survivors(searched.best, searched.candidates, subject.observed)
-        found = [refitted(again, one) for one in open_ if len(one.effects) == len(second.best.effects)]
-        best = decide.best_of([second.best, *found], again.observed)
-        second = replace(second, candidates=[*second.candidates, *found], best=best)
+        also = [refitted(again, one) for one in open_ if len(one.effects) == len(second.best.effects)]
+        best = decide.best_of([second.best, *also], again.observed)
+        second = replace(second, candidates=[*second.candidates, *also], best=best)
     closed = [0.0 if one.best is None else decide.validated(one.nominal, one.best) for one in (searched, second)]
     return (again, second) if second.evidence.present and closed[1] > closed[0] else (subject, searched)
 
