@@ -322,8 +322,8 @@ class EffectsSpec:
 
     `nominal` names the campaign parameters of the base model; they are refitted with every effect. `tie` sets
     FMU variables (also slices such as ``lossTable[:,4:5]``) to expressions of campaign parameters.
-    `experiments` are the runs to use. Without a `catalogue`, one is made from the models, for which these were
-    `fitted`: nominal parameters in the unit of the model.
+    `experiments` are the runs to use. Without a `catalogue`, one is made from the models, and `fitted` are then
+    the nominal parameters with which these were sized.
     """
 
     catalogue: Path | None = None

@@ -621,8 +621,8 @@ def _judge(subject: Subject, searched: _Searched, closing: Closing, say: Say) ->
     beside = () if part is None else part.entered
     rest = None if done else Rest(best.gap, where_left(subject, best, paths, beside))
     if len(surviving) == 1:
-        doubted = part is not None or (provisional and rest is not None and not named_at_all)
-        kind = "partial" if doubted else "effect"
+        partly = part is not None or (provisional and rest is not None and not named_at_all)
+        kind = "partial" if partly else "effect"
         verdict = Verdict(kind, best.effects, (), named, stable, rest, provisional)
         return Judgement(verdict, surviving, entered)
     common = set.intersection(*(set(s.effects) for s in surviving))

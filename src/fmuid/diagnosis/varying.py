@@ -14,6 +14,7 @@ from itertools import combinations, product
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu_build import compile_flat
 from fmu_build.flat_model import FlatModel
@@ -473,10 +474,10 @@ def _of(
     basis: FloatArray,
     residual: FloatArray,
 ) -> Iterator[Scored]:
-    """Yield the laws of a coefficient over a source, each with the best of its trials."""
+    """Return the laws of a coefficient over a source, each with the best of its trials."""
     duration = max(float(np.ptp(case.time)) for case in subject.model.cases)
     tried = [(n, t) for n, law in laws().items() if _suits(law, source) for t in _trials(law, source, duration)]
-    yield from _at(subject, having, source, name, tried, basis=basis, residual=residual)
+    return _at(subject, having, source, name, tried, basis=basis, residual=residual)
 
 
 def _at(
@@ -498,12 +499,12 @@ def _at(
     trials: dict[str, list[Mapping[str, float]]] = {}
     for law_name, trial in tried:
         trials.setdefault(law_name, []).append(trial)
-    time = [subject.model.cases[k].time for s in having for k in s.index]
-    ends = np.cumsum([len(t) for t in time])[:-1]
+    times = [subject.model.cases[k].time for s in having for k in s.index]
+    x, ends = np.concatenate(source.courses), _ends_of(times)
     power = float(np.median([r.powers[s.places[name]] for s in having for r in s.responses]))
     rows: list[FloatArray] = []
     for law_name, of_law in trials.items():
-        changes = _acting(_changes(laws()[law_name], source.courses, time, of_law), power)
+        changes = _acting(_changes(laws()[law_name], x, times, of_law), power)
         moves = np.any([np.ptp(run, axis=1) > 0.0 for run in np.split(changes, ends, axis=1)], axis=0)
         kept = np.isfinite(changes).all(axis=1) & moves
         rows.append(changes[kept])
@@ -528,7 +529,7 @@ def _at(
             continue
         k = int(np.argmax(np.where(shown[part], drops, -np.inf)))
         change = float(abs(fitting[k]) * np.abs(changes[k]).max())
-        coefficient, signature = having[0].coefficients[name], signatures[begin - len(of_law) + k] / length[k]
+        coefficient, signature = having[0].coefficients[name], signatures[part][k] / length[k]
         yield Scored(
             coefficient, source, law_name, of_law[k], float(drops[k]), change, signature, float(fitting[k]), power
         )
@@ -668,26 +669,31 @@ def _linear(law: Law) -> bool:
 
 
 def _changes(
-    law: Law, courses: Sequence[FloatArray], times: Sequence[FloatArray], trials: Sequence[Mapping[str, float]]
+    law: Law, x: FloatArray, times: Sequence[FloatArray], trials: Sequence[Mapping[str, float]]
 ) -> FloatArray:
-    """Return the (R, N) relative changes of a coefficient over the courses of its source, for each of R trials."""
-    x, ends = np.concatenate(courses), np.cumsum([len(t) for t in times])[:-1]
+    """Return the (R, N) relative changes of a coefficient where its source is `x`, for each of R trials."""
     shape = len(trials), len(x)
     columns: dict[str, FloatArray] = {"x": x, "p": np.ones(1)}
     columns |= {key: np.array([[trial[key]] for trial in trials]) for key in trials[0]}
     for state, one in law.states.items():
         heats = _evaluated(one.derivative, {**columns, state: np.zeros(1)}, shape) * columns["lag"]
-        columns[state] = np.array([
-            np.concatenate([_warmed(part, time, trial["lag"]) for part, time in zip(parts, times, strict=True)])
-            for parts, trial in zip((np.split(heat, ends) for heat in heats), trials, strict=True)
-        ])  # fmt: skip
+        warmed = (_warmed(heat, times, trial["lag"]) for heat, trial in zip(heats, trials, strict=True))
+        columns[state] = np.array([*warmed])
     return _evaluated(law.of(COEFFICIENT), columns, shape) - 1.0
 
 
-def _warmed(heat: FloatArray, time: FloatArray, lag: float) -> FloatArray:
-    """Return the state of a law that follows `heat` with a lag."""
-    keep = np.exp(-float(np.mean(np.diff(time))) / lag)
-    return first_order((1.0 - keep) * np.append(0.0, heat[:-1]), keep)
+def _warmed(heat: FloatArray, times: Sequence[FloatArray], lag: float) -> FloatArray:
+    """Return the state of a law that follows `heat` with a lag, from zero in each run."""
+    warmed = []
+    for part, time in zip(np.split(heat, _ends_of(times)), times, strict=True):
+        keep = np.exp(-float(np.mean(np.diff(time))) / lag)
+        warmed.append(first_order((1.0 - keep) * np.append(0.0, part[:-1]), keep))
+    return np.concatenate(warmed)
+
+
+def _ends_of(times: Sequence[FloatArray]) -> NDArray[np.intp]:
+    """Return where to split what belongs to the samples of all runs, joined."""
+    return np.cumsum([len(time) for time in times])[:-1]
 
 
 def _evaluated(text: str, columns: Mapping[str, FloatArray], shape: tuple[int, int]) -> FloatArray:
