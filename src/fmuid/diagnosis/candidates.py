@@ -388,12 +388,15 @@ def score_at_start(
     """Score effects as `score_further` does at the model's start values.
 
     Without the effect that is missing, a refit may end far away, where that effect no longer promises anything.
+    Effects that promise to leave more there than `fitted` leaves without them are left out.
     """
     effects = [e for e in subject.effects if e.id in fitted.effects]
     begin = refit_only(subject, effects, [{**fitted.fit.values, **subject.starts}], iterations=0)
     if begin is None:
         return ()
-    return score_further(subject, replace(fitted, fit=begin), likely=likely, most=most)
+    scores = score_further(subject, replace(fitted, fit=begin), likely=likely, most=most)
+    residual = project_off(stack(begin.residuals, subject.observed), nominal_basis(begin, subject.observed))
+    return tuple(s for s in scores if float(residual @ residual) - s.drop < fitted.fit.cost)
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:
