@@ -220,6 +220,7 @@ FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _DIFFERS = 0.05  # standard deviations: far below what any measurement shows, far above errors of solvers
 _LITTLE = 0.05  # of the gap: an equation or a table for the rest would improve predictions by no more than that
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
+_FAR = 2.0  # times a start value: what is known of a rig is seldom worse than that
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
     "Slow noise and drift cannot be separated from a slow effect: repeat the runs, or give each signal's sigma."
@@ -483,7 +484,7 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     answer["model"]["standard_errors"] = _errors(outcome)
     answer["nominal"] = {"parameters": outcome.subject.model.expanded(outcome.nominal.fit.values)}
     answer["verdict"]["text"] = " ".join(sentences(answer))
-    answer["notes"] += _at_bounds(outcome)
+    answer["notes"] += [*_at_bounds(outcome), *_far_values(outcome)]
     for effect, value in outcome.subject.modelled.items():
         answer["notes"].append(f"Not looked for, because the campaign has it in the model: {effect} ({value}).")
     if outcome.subject.observed.bounded:
@@ -510,6 +511,27 @@ def _at_bounds(outcome: Found) -> Iterator[str]:
     ):
         if names:
             yield f"{what}: {', '.join(f'{n} = {v:.4g}' for n, v in values.items() if n in names)}."
+
+
+def _far_values(outcome: Found) -> Iterator[str]:
+    """Yield a note on the parameters of a complete model that are far from where they started.
+
+    Someone who knows the rig can tell whether they are plausible; the runs cannot.
+    """
+    if outcome.diagnosis.verdict.kind != "complete":
+        return
+    known, far = estimates(outcome.nominal, outcome.subject), []
+    for name, start in outcome.subject.starts.items():
+        value, error = known[name].value, known[name].standard_error
+        if error is not None and start != 0.0:
+            least, most = sorted((value + sign * 2.0 * error) / start for sign in (-1.0, 1.0))
+            if least > _FAR or most < 1.0 / _FAR:
+                far.append(f"{name} = {value:.4g} (start {start:.4g})")
+    if far:
+        yield (
+            "The model is complete with values that are more than twice or less than half of where they started:"
+            f" {', '.join(far)}. If they are implausible, they stand in for something that the model lacks."
+        )
 
 
 def _machines(outcome: Found) -> BetweenMachines | None:

@@ -17,6 +17,7 @@ from fmuid.diagnosis.cross_validation import draw_noise
 from fmuid.diagnosis.decide import tolerances, tolerated
 from fmuid.diagnosis.diagnose import diagnose_subject
 from fmuid.diagnosis.observed import Observed, excess
+from fmuid.diagnosis_pipeline import answer_of
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.simulation.coupled.loading import load_simulator
 from fmuid.simulation.simulator import Task
@@ -75,6 +76,16 @@ def test_slow_noise_within_the_tolerance_is_a_complete_model(campaign):
     poorly_determined = tuple({"wall.G": 3.0} for _ in diagnosed.nominal.left_out)  # by the other runs alone
     judged = tolerated(diagnosed.subject, replace(diagnosed.nominal, left_out=poorly_determined))
     assert judged == diagnosed.diagnosis.tolerated
+
+
+def test_values_far_from_where_they_started_are_told(campaign):
+    """A conductance of twice the model's may stand in for a loss that the model lacks; 2.3 fits these runs."""
+    diagnosed = fmuid.diagnose(campaign, law=False, tolerance={"T": "60 mK"})
+    (wall,) = diagnosed.subject.nominal
+    for start, told in ((1.0, True), (1.3, False), (4.4, False), (5.0, True), (0.0, False)):
+        subject = replace(diagnosed.subject, nominal=(replace(wall, start=start),))
+        notes = answer_of(replace(diagnosed, subject=subject))["notes"]
+        assert any(f"where they started: wall.G = 2.3 (start {start:.4g})" in note for note in notes) is told
 
 
 def test_a_smaller_tolerance_is_exceeded(campaign):
