@@ -88,6 +88,27 @@ def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start
     assert diagnosis.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
 
 
+def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_where_another_one_leads(monkeypatch):
+    """Without the cause, `k` is estimated as 2, where the cause does what `k` does; `other` leaves little."""
+
+    class Turned(Reading):
+        def simulate(self, task, parameters):
+            values = {**task.start_values, **parameters}
+            turned = values.get("cause", 0.0) * min(values["k"] - 1.5, 0.0)
+            return super().simulate(task, {**values, "turned": turned})
+
+    laws = {"cause": {0: 1.0}, "other": {0: 1.0, 2: -0.1, 3: 0.002}}
+    subject = heard(laws, {0: 1.0, 2: -0.1})
+    cases = tuple(replace(c, simulator=Turned({**laws, "turned": {2: 0.2}})) for c in subject.model.cases)
+    nominal = (replace(subject.nominal[0], start=2.0),)
+    subject = replace(subject, model=replace(subject.model, cases=cases), nominal=nominal)
+    diagnosis = diagnose_subject(subject).diagnosis
+    assert diagnosis.verdict.effects == ("cause",)
+    assert diagnosis.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.1)
+    monkeypatch.setattr("fmuid.diagnosis.effect_search._instead", lambda *_: [])
+    assert diagnose_subject(subject).diagnosis.verdict.effects == ("other",)
+
+
 @pytest.mark.parametrize(
     ("tolerances", "named"), [({}, {"large", "small"}), ({"y": 0.2}, {"large"}), ({"y": 0.02}, {"large", "small"})]
 )

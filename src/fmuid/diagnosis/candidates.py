@@ -390,13 +390,25 @@ def score_at_start(
     Without the effect that is missing, a refit may end far away, where that effect no longer promises anything.
     Effects that promise to leave more there than `fitted` leaves without them are left out.
     """
+    there = unfitted(subject, fitted, subject.starts)
+    return () if there is None else score_there(subject, there, fitted.fit.cost, likely=likely, most=most)
+
+
+def unfitted(subject: Subject, fitted: Fitted, values: Mapping[str, float]) -> Fitted | None:
+    """Return a model at other values of its parameters, without a refit; None if it cannot be simulated there."""
     effects = [e for e in subject.effects if e.id in fitted.effects]
-    begin = refit_only(subject, effects, [{**fitted.fit.values, **subject.starts}], iterations=0)
-    if begin is None:
-        return ()
-    scores = score_further(subject, replace(fitted, fit=begin), likely=likely, most=most)
-    residual = project_off(stack(begin.residuals, subject.observed), nominal_basis(begin, subject.observed))
-    return tuple(s for s in scores if float(residual @ residual) - s.drop < fitted.fit.cost)
+    there = refit_only(subject, effects, [{**fitted.fit.values, **values}], iterations=0)
+    return None if there is None else replace(fitted, fit=there)
+
+
+def score_there(
+    subject: Subject, there: Fitted, worth: float, *, likely: Sequence[Score] = (), most: int | None = None
+) -> tuple[Score, ...]:
+    """Score effects as `score_further` does, and return those that promise to leave less than the cost `worth`."""
+    scores = score_further(subject, there, likely=likely, most=most)
+    basis, residual = nominal_basis(there.fit, subject.observed), stack(there.fit.residuals, subject.observed)
+    left = project_off(residual, basis)
+    return tuple(s for s in scores if float(left @ left) - s.drop < worth)
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:

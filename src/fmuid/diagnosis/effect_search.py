@@ -23,6 +23,8 @@ from fmuid.diagnosis.candidates import (
     score_at_start,
     score_early,
     score_further,
+    score_there,
+    unfitted,
     without,
     worth_care,
 )
@@ -95,6 +97,8 @@ def search(
     best = decide.best_of(candidates, subject.observed)
     if present:  # the same law at another port may have ended in a local minimum
         candidates += _moved(subject, best, candidates, scores)
+        best = decide.best_of(candidates, subject.observed)
+        candidates += _instead(subject, nominal, best, candidates)
         best = decide.best_of(candidates, subject.observed)
     signatures = _signatures(subject, nominal, candidates, scores)[0]
 
@@ -438,6 +442,21 @@ def _replaced(
     fresh = [s for s in others if frozenset((*rest.effects, s.effect)) not in tried]
     extended = 0 if len(rest.effects) >= decide.MOST_CALIBRATED else _EXTENDED  # as in `_company`
     return _added(subject, rest, fresh, extended=extended, rival=rival)
+
+
+def _instead(subject: Subject, nominal: Fitted, best: Fitted, candidates: Sequence[Fitted]) -> list[Fitted]:
+    """Refit with effects that promise to fit as well as `best` where its other parameters are.
+
+    A refit without any effect may have moved them far away, where another effect no longer promises anything.
+    """
+    there = unfitted(subject, nominal, {u.name: best.fit.values[u.name] for u in nominal.fit.unknowns})
+    if there is None:
+        return []
+    tried = {name for c in candidates for name in c.effects}
+    promised = score_there(subject, there, about(best.fit.cost))
+    fresh = [s for s in promised if s.effect not in tried][:_PAIRS]
+    added = _added(subject, there, fresh, extended=0, rival=best.fit.cost)
+    return [c for c in added if c.fit.cost < nominal.fit.cost]
 
 
 def _pruned(
