@@ -85,7 +85,7 @@ def search(
     """
     singles, early, elsewhere = _promising(scores)[:2], list[str](), _Elsewhere()
     if present:
-        elsewhere = _elsewhere(subject, nominal)
+        elsewhere = _elsewhere(subject, nominal, scores)
         singles, early = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
 
     def tell(task: str, done: float) -> None:
@@ -98,7 +98,7 @@ def search(
     if present:  # the same law at another port may have ended in a local minimum
         candidates += _moved(subject, best, candidates, scores)
         best = decide.best_of(candidates, subject.observed)
-        candidates += _instead(subject, nominal, best, candidates)
+        candidates += _instead(subject, nominal, best, candidates, scores)
         best = decide.best_of(candidates, subject.observed)
     signatures = _signatures(subject, nominal, candidates, scores)[0]
 
@@ -162,13 +162,17 @@ class _Elsewhere:
     at_start: Sequence[Score] = ()
 
 
-def _elsewhere(subject: Subject, fitted: Fitted, before: _Elsewhere | None = None) -> _Elsewhere:
-    """Score further effects in early parts of the runs and at the start values.
+def _elsewhere(
+    subject: Subject, fitted: Fitted, scores: Sequence[Score], before: _Elsewhere | None = None
+) -> _Elsewhere:
+    """Score further effects in early parts of the runs and at the start values, one of those that `scores` equate.
 
     Given the scores `before`, of a simpler model, only the effects that promise most there are scored.
     """
     if before is None:
-        return _Elsewhere(score_early(subject, fitted), score_at_start(subject, fitted))
+        return _Elsewhere(
+            score_early(subject, fitted, likely=scores), score_at_start(subject, fitted, likely=scores)
+        )
     return _Elsewhere(
         score_early(subject, fitted, likely=before.early, most=_SCORED),
         score_at_start(subject, fitted, likely=before.at_start, most=_SCORED),
@@ -259,7 +263,7 @@ def _company(
     distinct = _distinct(subject, further)
     if len(best.effects) >= decide.MOST_CALIBRATED:
         return _added(subject, best, distinct[:_PAIRS], extended=1)
-    elsewhere = _elsewhere(subject, best, before)
+    elsewhere = _elsewhere(subject, best, scores, before)
     return _added(subject, best, *_chosen(elsewhere, distinct, _PAIRS, _EARLY_BESIDE))
 
 
@@ -444,7 +448,9 @@ def _replaced(
     return _added(subject, rest, fresh, extended=extended, rival=rival)
 
 
-def _instead(subject: Subject, nominal: Fitted, best: Fitted, candidates: Sequence[Fitted]) -> list[Fitted]:
+def _instead(
+    subject: Subject, nominal: Fitted, best: Fitted, candidates: Sequence[Fitted], scores: Sequence[Score]
+) -> list[Fitted]:
     """Refit with effects that promise to fit as well as `best` where its other parameters are.
 
     A refit without any effect may have moved them far away, where another effect no longer promises anything.
@@ -453,7 +459,7 @@ def _instead(subject: Subject, nominal: Fitted, best: Fitted, candidates: Sequen
     if there is None:
         return []
     tried = {name for c in candidates for name in c.effects}
-    promised = score_there(subject, there, about(best.fit.cost))
+    promised = score_there(subject, there, about(best.fit.cost), likely=scores)
     fresh = [s for s in promised if s.effect not in tried][:_PAIRS]
     added = _added(subject, there, fresh, extended=0, rival=best.fit.cost)
     return [c for c in added if c.fit.cost < nominal.fit.cost]
