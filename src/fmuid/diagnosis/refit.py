@@ -42,7 +42,7 @@ _ABOUT = (
     20.0,
 )  # times the cost, plus squared standard deviations: then another model fits about equally well
 _COARSE = 0.02  # share of the cost that an iteration of a quick search has to gain
-_ACROSS = _ABOUT[0] - 1.0  # share of the cost beyond the noise that slopes promise before they lead across ripples
+_ACROSS = 50.0  # times the tolerance, of the cost beyond the noise: promises of a twentieth lead across ripples
 _WIDE = 8.0  # steps to either side, so that the slope follows the cost and not its ripples
 ITERATIONS = 25  # Jacobians of a search; nearly all end by their tolerance before
 _RECENT = 3  # iterations of a search whose largest gain those to come are taken to have
@@ -145,7 +145,7 @@ def refit(
 
     def promising(end: _End, slopes: Slopes = "near", across: float = 0.0) -> bool:
         fall = campaign.promised(end[1], slopes) if len(unknowns) else 0.0
-        relevant = max(_ENOUGH, tolerance * end[0], across * (end[0] - campaign.size))
+        relevant = max(_ENOUGH, tolerance * end[0], tolerance * across * (end[0] - campaign.size))
         return fall > relevant and end[0] - fall < min(least, about(rival), most)
 
     if tangents is not None:  # at a kink, where exact slopes end, those of a plausible step may continue
