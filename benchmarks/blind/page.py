@@ -28,7 +28,7 @@ loop, have the timing of a PLC or columns that nothing uses; one file in twenty 
 
 `fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
 whole, in `benchmarks/blind/published/<seed>/`: labels, answers, SHA-256 of every log. Labels of the first
-{rehearsal} cases may be read while rules change (of seed 7990, none were); the next {check} are the check.
+{rehearsal} cases (or as many as `seed.json` says) may be read while rules change; the next {check} are the check.
 
     make blind SEED=...  # draw and diagnose
     make blind-verify    # recompute this page from what is committed, and logs and labels from their seeds
