@@ -85,7 +85,7 @@ def search(
     """
     singles, early, elsewhere = _promising(scores)[:2], list[str](), _Elsewhere()
     if present:
-        elsewhere = _elsewhere(subject, nominal, scores)
+        elsewhere = _elsewhere(subject, nominal, _Elsewhere(scores, scores))
         singles, early = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
 
     def tell(task: str, done: float) -> None:
@@ -162,20 +162,14 @@ class _Elsewhere:
     at_start: Sequence[Score] = ()
 
 
-def _elsewhere(
-    subject: Subject, fitted: Fitted, scores: Sequence[Score], before: _Elsewhere | None = None
-) -> _Elsewhere:
-    """Score further effects in early parts of the runs and at the start values, one of those that `scores` equate.
+def _elsewhere(subject: Subject, fitted: Fitted, before: _Elsewhere, most: int | None = None) -> _Elsewhere:
+    """Score further effects in early parts of the runs and at the start values.
 
-    Given the scores `before`, of a simpler model, only the effects that promise most there are scored.
+    Of effects that scores `before` do not distinguish, one is scored; if a number is given, the `most` promising.
     """
-    if before is None:
-        return _Elsewhere(
-            score_early(subject, fitted, likely=scores), score_at_start(subject, fitted, likely=scores)
-        )
     return _Elsewhere(
-        score_early(subject, fitted, likely=before.early, most=_SCORED),
-        score_at_start(subject, fitted, likely=before.at_start, most=_SCORED),
+        score_early(subject, fitted, likely=before.early, most=most),
+        score_at_start(subject, fitted, likely=before.at_start, most=most),
     )
 
 
@@ -263,7 +257,7 @@ def _company(
     distinct = _distinct(subject, further)
     if len(best.effects) >= decide.MOST_CALIBRATED:
         return _added(subject, best, distinct[:_PAIRS], extended=1)
-    elsewhere = _elsewhere(subject, best, scores, before)
+    elsewhere = _elsewhere(subject, best, before, _SCORED)
     return _added(subject, best, *_chosen(elsewhere, distinct, _PAIRS, _EARLY_BESIDE))
 
 
@@ -455,7 +449,7 @@ def _instead(
 
     A refit without any effect may have moved them far away, where another effect no longer promises anything.
     """
-    there = unfitted(subject, nominal, {u.name: best.fit.values[u.name] for u in nominal.fit.unknowns})
+    there = unfitted(subject, nominal, best.fit.values)
     if there is None:
         return []
     tried = {name for c in candidates for name in c.effects}
