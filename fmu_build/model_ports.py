@@ -489,41 +489,81 @@ class _Finder:
             component = self.flat.connectors[path].component
             if component and path in self.balances:
                 of.setdefault(component, []).append(path)
-        for component, paths in of.items():
-            if len(paths) != 2 or self.physical[paths[0]][0] != self.physical[paths[1]][0]:
-                continue
-            first, second = paths
-            domain, a, flow = self.physical[first]
-            b = self.physical[second][1]
-            if self.classes.find(a) == self.classes.find(b):
-                continue
-            quantities: dict[str, Expression] = {
-                "p": _difference(variable(b), variable(a)),
-                "through": variable(flow),
-            }
-            ends = self._rates(a), self._rates(b)
-            if all("rate" in end for end in ends):
-                quantities["rate"] = _difference(ends[1]["rate"], ends[0]["rate"])
-            elif any("rate" in end for end in ends) and domain in MECHANICAL:
-                rates = [
-                    end.get("rate", number(0.0) if self.classes.find(p) in self.fixed else None)
-                    for end, p in zip(ends, (a, b), strict=True)
-                ]
-                if rates[0] is not None and rates[1] is not None:
-                    quantities["rate"] = _difference(rates[1], rates[0])
-            if "rate" not in quantities and (rate := self._relative_rate(component, a, b)) is not None:
-                quantities["rate"] = rate
-            yield Port(
-                component, "branch", domain, (first, second), self._units(first), quantities,
-                {"p": (a, b), "flow": (flow, self.physical[second][2])}
-                | ({"rate": tuple(self.derived.get(self.classes.find(p), "") for p in (a, b))}
-                   if all(self.derived.get(self.classes.find(p)) for p in (a, b)) else {}),
-                compliant=(compliant := self._compliant(component, (a, b))),
-                rigid=not compliant and all(self._reaches_store(path) for path in paths),
-                slides=domain in MECHANICAL and compliant and not self._elastic(component, (a, b)),
-                coil=domain == "electrical" and self.classes.find(flow) in self.derived,
-                preferred=self._preferred(component) if compliant else (),
-            )  # fmt: skip
+        pairs = ((component, *paths) for component, paths in of.items() if len(paths) == 2)
+        for component, first, second in pairs:
+            port = self._geared(component, first, second) or self._branch(component, first, second)
+            if port is not None:
+                yield port
+
+    def _branch(self, component: str, first: str, second: str) -> Port | None:
+        domain, a, flow = self.physical[first]
+        other, b, _ = self.physical[second]
+        if domain != other or self.classes.find(a) == self.classes.find(b):
+            return None
+        quantities: dict[str, Expression] = {
+            "p": _difference(variable(b), variable(a)),
+            "through": variable(flow),
+        }
+        ends = self._rates(a), self._rates(b)
+        if all("rate" in end for end in ends):
+            quantities["rate"] = _difference(ends[1]["rate"], ends[0]["rate"])
+        elif any("rate" in end for end in ends) and domain in MECHANICAL:
+            rates = [
+                end.get("rate", number(0.0) if self.classes.find(p) in self.fixed else None)
+                for end, p in zip(ends, (a, b), strict=True)
+            ]
+            if rates[0] is not None and rates[1] is not None:
+                quantities["rate"] = _difference(rates[1], rates[0])
+        if "rate" not in quantities and (rate := self._relative_rate(component, a, b)) is not None:
+            quantities["rate"] = rate
+        return Port(
+            component, "branch", domain, (first, second), self._units(first), quantities,
+            {"p": (a, b), "flow": (flow, self.physical[second][2])}
+            | ({"rate": tuple(self.derived.get(self.classes.find(p), "") for p in (a, b))}
+               if all(self.derived.get(self.classes.find(p)) for p in (a, b)) else {}),
+            compliant=(compliant := self._compliant(component, (a, b))),
+            rigid=not compliant and all(self._reaches_store(path) for path in (first, second)),
+            slides=domain in MECHANICAL and compliant and not self._elastic(component, (a, b)),
+            coil=domain == "electrical" and self.classes.find(flow) in self.derived,
+            preferred=self._preferred(component) if compliant else (),
+        )  # fmt: skip
+
+    def _geared(self, component: str, *paths: str) -> Port | None:
+        """Return a component as a branch if the twist that it computes has a ratio, as that of an elastic rack."""
+        moving = self.prescribed.isdisjoint(map(self._potential, paths))
+        if not moving or not self._compliant(component, [self.physical[path][1] for path in paths]):
+            return None
+        earlier = [
+            e for e in self.flat.equations
+            if e.origin.kind == "added" and isinstance(e.left, Reference)
+            and flat_name(e.left).startswith(f"{component}.")
+        ]  # fmt: skip
+        ends = [self._balance(path) for path in paths]
+        for c in self._equations.couplings(ends, [*self._inside(component), *earlier]):
+            (first, second), geared = c.factors, self._coupling(c)
+            if (first is None) != (second is None) and not all(d.rates for d in c.differences):
+                plain = c.first if first is None else c.second
+                into = plain.terms[0] if first is None else Unary(ADDED, "-", plain.terms[0])
+                connectors = (c.first.name, c.second.name)
+                return replace(
+                    geared, name=component, connectors=connectors, terms=plain.terms,
+                    quantities={**geared.quantities, "through": into},
+                    probes={
+                        "p": tuple(self.physical[path][1] for path in connectors),
+                        "flow": (self.physical[plain.name][2],),
+                    },
+                    preferred=self._preferred(component),
+                )  # fmt: skip
+        return None
+
+    def _balance(self, path: str) -> Balance:
+        """Return the flow balance of the node of a connector, of whose terms only its own flow counts."""
+        domain, potential, flow = self.physical[path]
+        return Balance(
+            path, self.flat.connectors[path].component, domain, potential,
+            self.derived.get(self._potential(path)) or None, self._units(path),
+            Share(self.balances[path], "left", added=True), loop=False, terms=(variable(flow),),
+        )  # fmt: skip
 
     def _is_a_node(self, branch: Port) -> bool:
         """Whether a branch and one of its ends are one place, as in a joint that stands on the ground."""
@@ -663,17 +703,20 @@ class _Finder:
                 progress = True
         return False
 
-    def _written(self, taken: Collection[str]) -> Iterator[Port]:
-        """Yield the ports of what is stated as equations, in components without connectors of that domain.
+    @cached_property
+    def _grounded(self) -> set[str]:
+        """Components with a single electrical connector, whose other end is the ground."""
+        physical = ((self.flat.connectors[path].component, domain) for path, (domain, *_) in self.physical.items())
+        count = Counter(component for component, domain in physical if domain == "electrical")
+        return {component for component, connectors in count.items() if component and connectors == 1}
 
-        A coil in a component with a single connector, whose other end is the ground, is a loop with the name of
-        the component, unless that is `taken`.
-        """
-        of = [(self.flat.connectors[path].component, physics) for path, physics in self.physical.items()]
-        has = Counter((component, domain) for component, (domain, *_) in of)
-        grounded = {c for (c, domain), count in has.items() if c and domain == "electrical" and count == 1}
+    @cached_property
+    def _equations(self) -> WrittenBalances:
+        """What is stated as equations."""
         through_coils = {
-            flow for component, (domain, _, flow) in of if domain == "electrical" and component in grounded
+            flow
+            for path, (domain, _, flow) in self.physical.items()
+            if domain == "electrical" and self.flat.connectors[path].component in self._grounded
         }
         potentials = {self.classes.find(potential) for _, potential, _ in self.physical.values()}
         speeds = {self.classes.find(self.derived[p]) for p in potentials if self.derived.get(p)}
@@ -682,7 +725,16 @@ class _Finder:
             for v in self.flat.variables.values()
             if v.flow and v.name not in through_coils
         }
-        written = WrittenBalances(self.flat, self.classes.find, self.derived, potentials | speeds | flows)
+        return WrittenBalances(self.flat, self.classes.find, self.derived, potentials | speeds | flows)
+
+    def _written(self, taken: Collection[str]) -> Iterator[Port]:
+        """Yield the ports of what is stated as equations, in components without connectors of that domain.
+
+        A coil in a component with a single connector, whose other end is the ground, is a loop with the name of
+        the component, unless that is `taken`.
+        """
+        of = [(self.flat.connectors[path].component, domain) for path, (domain, *_) in self.physical.items()]
+        has, grounded, written = Counter(of), self._grounded, self._equations
         balances = [
             b
             for b in written.balances()
@@ -727,7 +779,7 @@ class _Finder:
         }
         shares = (c.first.share.opposite.times(c.factors[0]), c.second.share.times(c.factors[1]))
         return Port(
-            c.name, "branch", c.first.domain, (), c.first.units, quantities, shares=shares,
+            c.name, "branch", c.domain, (), c.units, quantities, shares=shares,
             terms=(*c.first.terms, *c.second.terms), differences=c.differences, compliant=True,
         )  # fmt: skip
 

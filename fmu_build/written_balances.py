@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from operator import add
 from typing import Literal as Choice
 
 from fmu_build.domains import DOMAINS, MECHANICAL, Domain
@@ -106,6 +107,8 @@ class Coupling:
 
     Attributes
     ----------
+    domain, units
+        Of the difference, and of the flow that it drives.
     factors
         Of the two potentials; None is 1.
     differences
@@ -113,6 +116,8 @@ class Coupling:
     """
 
     name: str
+    domain: Domain
+    units: tuple[str, str]
     first: Balance
     second: Balance
     factors: tuple[Expression | None, Expression | None]
@@ -167,8 +172,13 @@ class WrittenBalances:
                     break
         return tuple(balances)
 
-    def couplings(self, balances: Sequence[Balance]) -> tuple[Coupling, ...]:
-        """Return the differences of potentials, or of their rates, of two balances of one domain."""
+    def couplings(
+        self, balances: Sequence[Balance], equations: Sequence[Equation] | None = None
+    ) -> tuple[Coupling, ...]:
+        """Return the differences of potentials, or of their rates, of two balances, in some equations or in all.
+
+        Both are of one domain, or of motion, such as that of a rack and its pinion: ``r*phi - s``.
+        """
         both = (("potential", False), ("rate", True))
         of = {
             self._find(name): (b, rates)
@@ -177,24 +187,46 @@ class WrittenBalances:
             if not b.loop and (name := getattr(b, what)) is not None
         }
         together: dict[tuple[_End, _End], list[Difference]] = {}
-        for node in self._written():
+        for node in self._written() if equations is None else walk(tuple((e.left, e.right) for e in equations)):
             if not (isinstance(node, Binary) and node.operator == "-"):
                 continue
             plus, minus = (self._end(side, of) for side in (node.left, node.right))
             if plus is None or minus is None:
                 continue
             (second, rates), (first, same) = plus, minus
-            alike = (first.balance.domain, first.balance.units) == (second.balance.domain, second.balance.units)
-            if rates == same and alike and first.balance != second.balance:
+            if rates == same and first.balance != second.balance and self._common(first, second) is not None:
                 negative = (second, first) in together
                 key = (second, first) if negative else (first, second)
                 together.setdefault(key, []).append(Difference(node, rates, negative))
-        names = [f"{first.balance.name}.{second.balance.name}" for first, second in together]
-        return tuple(
-            Coupling(name, first.balance, second.balance, (first.factor, second.factor), tuple(differences))
-            for i, (name, ((first, second), differences)) in enumerate(zip(names, together.items(), strict=True))
-            if name not in names[:i]
-        )
+        couplings: dict[str, Coupling] = {}
+        for (first, second), differences in together.items():
+            name, kind = f"{first.balance.name}.{second.balance.name}", self._common(first, second)
+            if kind is not None and name not in couplings:
+                factors = (first.factor, second.factor)
+                couplings[name] = Coupling(name, *kind, first.balance, second.balance, factors, tuple(differences))
+        return tuple(couplings.values())
+
+    def _common(self, first: _End, second: _End) -> tuple[Domain, tuple[str, str]] | None:
+        """Return domain and units of the difference of two potentials; None if they are of different kinds."""
+        kinds = {(end.balance.domain, end.balance.units) for end in (first, second)}
+        same = next(iter(kinds)) if len(kinds) == 1 else None
+        sizes = [self._size(end) for end in (first, second)]
+        if first.factor is second.factor is None or sizes[0] != sizes[1] or sizes[0] is None:
+            return same
+        flows = {_exponents(flow) for domain, _, flows in DOMAINS if domain in MECHANICAL for flow in flows}
+        if all(domain in MECHANICAL and _exponents(units[1]) in flows for domain, units in kinds):
+            for domain, potential, (flow, *_) in DOMAINS:
+                if domain in MECHANICAL and sizes[0] == _exponents(potential):
+                    return domain, (potential, flow)
+        return same
+
+    def _size(self, end: _End) -> tuple[Fraction, ...] | None:
+        """Return the exponents of the unit of a potential with its factor; None if they are unknown."""
+        plain = _exponents(end.balance.units[0])
+        if plain is None or end.factor is None:
+            return plain
+        factor = dimension(self._flat, end.factor)
+        return None if factor is None else tuple(map(add, plain, factor.exponents))
 
     def held(self, balance: Balance, couplings: Sequence[Coupling]) -> bool:
         """Return whether a spring to the ground seems to act: the balance has the position itself in a term."""
@@ -222,20 +254,25 @@ class WrittenBalances:
     def _end(self, side: Expression, of: Mapping[str, tuple[Balance, bool]]) -> tuple[_End, bool] | None:
         """Return the balance whose potential a side is, with its factor, and whether it is the rate instead."""
         match side:
-            case Reference():
-                known, factor = of.get(self._find(flat_name(side))), None
-            case Binary(operator="*", left=one, right=Reference() as other) if self._given(one):
-                known, factor = of.get(self._find(flat_name(other))), one
-            case Binary(operator="*", left=Reference() as other, right=one) if self._given(one):
-                known, factor = of.get(self._find(flat_name(other))), one
-            case Binary(operator="/", left=Reference() as other, right=one) if self._given(one):
-                known, factor = of.get(self._find(flat_name(other))), Binary(ADDED, "/", number(1.0), one)
-            case _:
-                return None
+            case Binary(operator="*", left=one, right=other) if self._given(one):
+                factor: Expression | None = one
+            case Binary(operator="*", left=other, right=one) if self._given(one):
+                factor = one
+            case Binary(operator="/", left=other, right=one) if self._given(one):
+                factor = Binary(ADDED, "/", number(1.0), one)
+            case other:
+                factor = None
+        name = flat_name(other) if isinstance(other, Reference) else differentiated(other)
+        known = None if name is None else of.get(self._find(name))
         if known is None:
             return None
+        balance, rates = known
+        if not isinstance(other, Reference):  # a derivative
+            if rates:
+                return None
+            rates = True
         anywhere = None if factor is None else transform(factor, lambda node: replace(node, at=ADDED))
-        return _End(known[0], anywhere), known[1]
+        return _End(balance, anywhere), rates
 
     def _given(self, e: Expression) -> bool:
         names = [flat_name(r) for r in references((e,))]

@@ -31,6 +31,9 @@ INPUTS = {
     "Plain": {"F": 3 * np.sin(4 * TIME)},
     "Filtered": {"F": 2000 * np.sin(4 * TIME)},
     "Motor": {"u": 5 * np.sin(9 * TIME)},
+    "Screw": {"tau": 0.3 * np.sin(30 * TIME)},
+    "SlackScrew": {"tau": 0.3 * np.sin(30 * TIME)},
+    "Carriage": {"tau": 0.3 * np.sin(30 * TIME)},
 }
 
 
@@ -64,6 +67,8 @@ def simulated(fmu, name, **parameters):
         ("Plain", {"v.balance": "node", "x.ground": "branch"}),
         ("Filtered", {"v.balance": "node", "lag.u": "signal"}),
         ("Motor", {"motor": "loop", "rotor": "node"}),
+        ("Screw", {"rotor": "node", "table": "node", "screw": "branch"}),
+        ("Carriage", {"w.balance": "node", "v.balance": "node", "v.w": "branch"}),
     ],
 )
 def test_balances_loops_and_differences_are_ports(name, kinds):
@@ -123,6 +128,10 @@ def test_an_unknown_unit_is_left_out(tmp_path):
         ("Plain", "v.balance", "flow", "0.5*rate", "d", 0.5),
         ("Filtered", "v.balance", "flow", "30*rate", "d", 30.0),
         ("Motor", "motor", "potential", "2*through", "motor.R", 2.0),
+        ("Screw", "screw", "flow", "9e3*p", "screw.c", 9e3),
+        ("Screw", "screw", "flow", "9*rate", "screw.d", 9.0),
+        ("Carriage", "v.w", "flow", "9e3*p", "c", 9e3),
+        ("Carriage", "v.w", "flow", "9*rate", "d", 9.0),
     ],
 )
 def test_a_law_does_what_a_larger_parameter_does(name, port, acts, law, parameter, more):
@@ -152,29 +161,40 @@ def test_heat_through_a_bridge_leaves_the_second_store_and_enters_the_first():
     assert np.abs(800 * bridged[0] + 1600 * bridged[1] - stored).max() < 1e-2 * np.ptp(stored)
 
 
-def test_backlash_in_a_written_difference_is_backlash():
-    law = "-max(min(p, gap), -gap)"
-    slack = built_with_terms(
-        source("Shaft"), flat("Shaft"), [Term("wl.w", "potential", law)], [Added("gap", 0.02, "rad")]
-    )
-    wanted = simulated(built_model(source("SlackShaft")), "SlackShaft")
-    plain = simulated(built_model(source("Shaft")), "Shaft")
-    assert np.abs(wanted - plain).max() > 0.1
-    np.testing.assert_allclose(simulated(slack, "Shaft"), wanted, atol=1e-4 * np.ptp(wanted))
+@pytest.mark.parametrize(
+    ("name", "place", "slack", "gap"),
+    [
+        ("Shaft", "wl.w", "SlackShaft", 0.02),
+        ("Screw", "screw", "SlackScrew", 1e-4),
+        ("Carriage", "v.w", "SlackScrew", 1e-4),
+    ],
+)
+def test_backlash_in_a_written_difference_is_backlash(name, place, slack, gap):
+    term = Term(place, "potential", "-max(min(p, gap), -gap)")
+    ours = simulated(built_with_terms(source(name), flat(name), [term], [Added("gap", gap)]), name)
+    wanted, plain = (simulated(built_model(source(n)), n) for n in (slack, name))
+    for row, of_plain, of_slack in zip(ours, plain, wanted, strict=True):
+        assert np.abs(of_slack - of_plain).max() > 0.01 * np.ptp(of_slack)
+        np.testing.assert_allclose(row, of_slack, atol=2e-4 * np.ptp(of_slack))
 
 
-def test_a_shaft_that_has_backlash_already_can_have_more():
+@pytest.mark.parametrize(("name", "place", "gap"), [("Shaft", "wl.w", 0.02), ("Screw", "screw", 1e-4)])
+def test_a_twist_that_has_backlash_already_can_have_more(name, place, gap):
     drop = "-max(min(p, {gap}), -{gap})"
-    once = instrument(flat("Shaft"), [Term("wl.w", "potential", drop.format(gap="gap"))], [Added("gap", 0.02)])
-    assert "wl.w" in {port.name for port in find_ports(once)}
-    more = [Term("wl.w", "potential", drop.format(gap="more"))], [Added("more", 0.03)]
-    wider = [Term("wl.w", "potential", drop.format(gap="wide"))], [Added("wide", 0.05)]
-    twice = simulated(built_with_terms(source("Shaft"), once, *more), "Shaft")
-    wanted = simulated(built_with_terms(source("Shaft"), flat("Shaft"), *wider), "Shaft")
-    np.testing.assert_allclose(twice, wanted, atol=1e-4 * np.ptp(wanted))
+    once = instrument(flat(name), [Term(place, "potential", drop.format(gap="gap"))], [Added("gap", gap)])
+    assert place in {port.name for port in find_ports(once)}
+    more = [Term(place, "potential", drop.format(gap="more"))], [Added("more", 1.5 * gap)]
+    wider = [Term(place, "potential", drop.format(gap="wide"))], [Added("wide", 2.5 * gap)]
+    twice = simulated(built_with_terms(source(name), once, *more), name)
+    wanted = simulated(built_with_terms(source(name), flat(name), *wider), name)
+    for row, of_wider in zip(twice, wanted, strict=True):
+        np.testing.assert_allclose(row, of_wider, atol=2e-4 * np.ptp(of_wider))
 
 
-@pytest.mark.parametrize("name", ["Shaft", "Loudspeaker", "Tanks", "Oven", "Cart", "Plain", "Filtered"])
+OF_EQUATIONS = ["Shaft", "Loudspeaker", "Tanks", "Oven", "Cart", "Plain", "Filtered", "Screw", "Carriage"]
+
+
+@pytest.mark.parametrize("name", OF_EQUATIONS)
 def test_all_off_the_outputs_are_bit_for_bit_the_plain_ones(name, tmp_path):
     catalogue = every_law(flat(name), tmp_path)
     effects = [e for e in catalogue.effects.values() if not e.variant and not e.states]

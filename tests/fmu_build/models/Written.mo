@@ -168,4 +168,79 @@ package Written "Models that state their balances as equations"
     connect(supply.port, motor.a);
     connect(motor.b, rotor.port);
   end Motor;
+
+  connector Slider
+    Real s(unit = "m");
+    flow Real f(unit = "N");
+  end Slider;
+
+  model ElasticScrew "A ball screw that gives way"
+    Flange a;
+    Slider b;
+    parameter Real r(unit = "m/rad") = 0.01;
+    parameter Real c(unit = "N/m") = 2e4;
+    parameter Real d(unit = "N.s/m") = 40;
+    replaceable Real twist(unit = "m") = rel;
+    Real rel(unit = "m");
+  equation
+    rel = r*a.phi - b.s;
+    b.f = -(c*twist + d*der(twist));
+    a.tau = -r*b.f;
+  end ElasticScrew;
+
+  model Table
+    Slider port;
+    parameter Real m(unit = "kg") = 5;
+    parameter Real d(unit = "N.s/m") = 20;
+    Real s(unit = "m", start = 0, fixed = true);
+    Real v(unit = "m/s", start = 0, fixed = true);
+  equation
+    s = port.s;
+    v = der(s);
+    m*der(v) = port.f - d*v;
+  end Table;
+
+  model Drive
+    Flange port;
+    input Real tau(unit = "N.m");
+  equation
+    port.tau = -tau;
+  end Drive;
+
+  model Screw "A motor and a table with a screw between them"
+    input Real tau(unit = "N.m");
+    output Real w(unit = "rad/s") = rotor.w;
+    output Real v(unit = "m/s") = table.v;
+    Drive drive(tau = tau);
+    Rotor rotor;
+    ElasticScrew screw;
+    Table table;
+  equation
+    connect(drive.port, rotor.port);
+    connect(rotor.port, screw.a);
+    connect(screw.b, table.port);
+  end Screw;
+
+  model SlackScrew "The same with backlash"
+    extends Screw(screw(twist = screw.rel - noEvent(max(min(screw.rel, gap), -gap))));
+    parameter Real gap(unit = "m") = 1e-4;
+  end SlackScrew;
+
+  model Carriage "The same as equations"
+    parameter Real J(unit = "kg.m2", min = 0) = 1e-3;
+    parameter Real m(unit = "kg", min = 0) = 5;
+    parameter Real r(unit = "m/rad") = 0.01;
+    parameter Real c(unit = "N/m", min = 0) = 2e4;
+    parameter Real d(unit = "N.s/m", min = 0) = 40;
+    parameter Real dv(unit = "N.s/m", min = 0) = 20;
+    input Real tau(unit = "N.m");
+    output Real w(unit = "rad/s", start = 0, fixed = true) = der(phi);
+    output Real v(unit = "m/s", start = 0, fixed = true) = der(s);
+    Real phi(unit = "rad", start = 0, fixed = true);
+    Real s(unit = "m", start = 0, fixed = true);
+    Real f(unit = "N") = c*(r*phi - s) + d*(r*der(phi) - der(s));
+  equation
+    J*der(w) = tau - r*f;
+    m*der(v) = f - dv*v;
+  end Carriage;
 end Written;
