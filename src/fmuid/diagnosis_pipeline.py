@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,10 +29,12 @@ from fmuid.diagnosis.corrected import FOLDER, Corrected, checked, write_correcte
 from fmuid.diagnosis.cross_validation import share_closed
 from fmuid.diagnosis.decide import GAIN_OF_A_SECOND, odds_of_starts, starts_matter, tolerances
 from fmuid.diagnosis.diagnose import Found, diagnose_subject, where_left
+from fmuid.diagnosis.effect_search import exact_enough, holds, promise_more_than_starts
 from fmuid.diagnosis.extended_model import Prediction, predicted
 from fmuid.diagnosis.localisation import between_machines
 from fmuid.diagnosis.made_catalogue import keep_catalogue, with_catalogue, with_effect
-from fmuid.diagnosis.observed import gap
+from fmuid.diagnosis.observed import Observed, gap
+from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import SEEN
 from fmuid.diagnosis.subject import Subject, carrier, subject_of, with_states
 from fmuid.diagnosis.summary import sentences
@@ -107,11 +109,12 @@ def with_starts_of_runs(
 ) -> tuple[Campaign, str] | None:
     """Return the campaign with start states that are estimated for each run, and a note.
 
-    None unless these explain as much as a second effect has to: of the gap, if they are likelier than the best
-    explanation, or of what an unsure one leaves. A firm verdict stays. A log that begins in motion may start at
-    the model's outputs and depart from them in what follows, unless every state is measured.
+    None unless these are likelier than the best explanation, or improve it, and explain as much as a second effect
+    has to. An explanation that holds beyond doubt, or is as exact as it has to be, stays. One that is named has to
+    become likelier: start states take up whatever the shape of a law leaves. A log that begins in motion may
+    start at the model's outputs and depart from them in what follows, unless every state is measured.
     """
-    verdict, explained = outcome.diagnosis.verdict, outcome.corrected
+    verdict, explained, nominal = outcome.diagnosis.verdict, outcome.corrected, outcome.nominal
     sure = verdict.kind in ("effect", "ambiguous") and not verdict.provisional
     firm = verdict.kind == "complete" or (verdict.kind == "effect" and sure)
     stages = {
@@ -122,22 +125,24 @@ def with_starts_of_runs(
         return None
     if not all(channel.plain for case in outcome.subject.model.cases for channel in case.channels):
         return None  # sensors with a model of their own follow no segment
+    if explained.effects and (
+        holds(outcome.subject, nominal, explained) or exact_enough(outcome.subject, nominal, explained)
+    ):
+        return None
     freed = replace(campaign, stages=stages)
-    subject = subject_with(freed)
-    observed = with_states(subject.observed, subject.model, outcome.nominal.fit.values)
+    subject = _started(subject_with(freed), outcome.subject.observed, nominal.fit)
+    observed = subject.observed
     if not observed.nuisances or _begin_as_modelled(outcome, subject):
         return None  # a model that cannot be restarted, or has no reason to
-    alone = sure or not explained.effects
-    for base in (outcome.nominal,) if alone else (outcome.nominal, explained):
-        with_base = [subject.by_id[id] for id in base.effects]
-        fit = refit_only(replace(subject, observed=observed), with_base, [base.fit.values])
+    for base in (nominal,) if sure or not explained.effects else (nominal, explained):
+        fit = refit_only(subject, [subject.by_id[id] for id in base.effects], [base.fit.values])
         if fit is None:
             continue
         left = gap(fit.residuals, observed)
-        if base.effects:
+        if base.effects and not outcome.surviving:
             needed = starts_matter(fit, base, observed)
         else:
-            needed = odds_of_starts(fit, outcome.nominal, explained, observed) > 0.0
+            needed = odds_of_starts(fit, base, explained, observed) > 0.0
         if needed and share_closed(base.gap, left) >= GAIN_OF_A_SECOND:
             break
     else:
@@ -149,6 +154,41 @@ def with_starts_of_runs(
         " stages of campaign.toml"
     )
     return freed, note
+
+
+def starting_as_modelled(
+    campaign: Campaign, subject: Subject, made: Callable[[Campaign], tuple[Campaign, Subject]]
+) -> tuple[Campaign, Subject]:
+    """Return campaign and subject without estimated start states, if effects promise to be likelier.
+
+    A log that begins elsewhere than the model may be that of a sensor with an offset, which estimated start states
+    hide. They are estimated after all if the effects do not keep their promise (`with_starts_of_runs`).
+    """
+    stages = {
+        name: replace(stage, segments=None) if stage.segments == math.inf else stage
+        for name, stage in campaign.stages.items()
+    }
+    if not subject.observed.nuisances or stages == campaign.stages:
+        return campaign, subject
+    changed, whole = made(replace(campaign, stages=stages))
+    fit = None if whole.observed.nuisances else refit_only(whole, (), [whole.fitted])
+    if fit is None or len(whole.observed.runs) != len(subject.observed.runs):
+        return campaign, subject
+    with suppress(SimulationError):
+        started = _started(subject, whole.observed, fit)
+        freed = refit_only(started, (), [fit.values])
+        if freed is not None and promise_more_than_starts(whole, fit, started, freed):
+            return changed, replace(whole, findings=(*whole.findings, _AS_MODELLED))
+    return campaign, subject
+
+
+def _started(freed: Subject, observed: Observed, fit: Refit) -> Subject:
+    """Return a subject whose start states are estimated, linearised at a refit, with the noise of the other one.
+
+    What two models leave is compared in the same noise, unless that one joined runs as repeats.
+    """
+    same = observed if len(observed.runs) == len(freed.observed.runs) else freed.observed
+    return replace(freed, observed=with_states(same, freed.model, fit.values))
 
 
 def _begin_as_modelled(outcome: Found, freed: Subject) -> bool:
@@ -221,6 +261,9 @@ _DIFFERS = 0.05  # standard deviations: far below what any measurement shows, fa
 _LITTLE = 0.05  # of the gap: an equation or a table for the rest would improve predictions by no more than that
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _FAR = 2.0  # times a start value: what is known of a rig is seldom worse than that
+_AS_MODELLED = (
+    "Runs are predicted from the model's start values: effects are likelier than estimated start states."
+)
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "
     "Slow noise and drift cannot be separated from a slow effect: repeat the runs, or give each signal's sigma."
@@ -333,29 +376,32 @@ def diagnose(
         recorded_runs = campaign.measurements
         campaign, notes = averaged(campaign)
         given = campaign.effects
-        campaign = with_catalogue(campaign, load_simulator, runner=runner)
+        subject_with = partial(_subject, runner=runner, experiments=experiments, tolerance=tolerance or {})
+
+        def made(changed: Campaign) -> tuple[Campaign, Subject]:  # its runs give the effects other sizes
+            changed = with_catalogue(replace(changed, effects=given), load_simulator, runner=runner)
+            return changed, subject_with(changed)
+
+        campaign, subject = made(campaign)
         first = campaign.effects
-        subject = _subject(campaign, runner, experiments, tolerance or {})
+        campaign, subject = starting_as_modelled(campaign, subject, made)
         key = calibration.key_of(_files(campaign, subject), subject)
         rehearsal = _rehearsed(subject, rehearse, seed, say) if rehearse else []
         if rehearse:
             calibration.keep(key, calibration.fit_curves(rehearsal, "of this model, noise and set-up"))
         curves = calibration.kept(key)
+
+        def diagnosed(changed: Campaign) -> tuple[Campaign, Found]:
+            changed, subject = made(changed)
+            return changed, diagnose_subject(subject, seed=seed, calibration=curves)
+
         outcome = diagnose_subject(subject, say=say, seed=seed, calibration=curves)
-
-        def subject_with(changed: Campaign) -> Subject:
-            return _subject(changed, runner, experiments, tolerance or {})
-
-        def diagnosed_again(changed: Campaign) -> tuple[Campaign, Found]:  # its runs give the effects other sizes
-            changed = with_catalogue(replace(changed, effects=given), load_simulator, runner=runner)
-            return changed, diagnose_subject(subject_with(changed), seed=seed, calibration=curves)
-
         timing = partial(with_timing_of_log, runner=runner)  # that of averaged samples is known
         campaign, outcome = _looked_again(
             campaign,
             outcome,
             (*(() if notes else (timing,)), partial(with_starts_of_runs, subject_with=subject_with)),
-            diagnosed_again,
+            diagnosed,
         )
         law = law and not nearly_explained(outcome.diagnosis)
         discovery = find_law(outcome, campaign.models, load_simulator, say=say, seed=seed) if law else None

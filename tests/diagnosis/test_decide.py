@@ -127,6 +127,27 @@ def test_runs_contradict_start_states_beyond_what_chance_would_gain(cost, left, 
     assert decide.starts_matter(started, fitted((), 2.0, cost=cost), observed) is matter
 
 
+def test_start_states_that_all_runs_share_are_paid_for_once():
+    observed = SimpleNamespace(repeats=np.ones(2), in_band=[np.ones(50, dtype=bool)] * 2, taken=[np.zeros(50)] * 2)
+    shared = Refit((), {}, (np.ones(50), np.ones(50)), (), 100.0, 0, True)
+    drag = fitted(("drag",), 0.0, cost=108.0, parameters=1)
+    odds = decide.odds_of_starts(shared, fitted((), 2.0, cost=500.0), drag, observed, 3)
+    assert odds == pytest.approx(4.0 - 0.5 * (3 - 1) * np.log(100.0))
+
+
+def test_a_further_effect_may_show_in_some_experiments_only():
+    """What it gains in each is in proportion to what it does there; that of another effect alone is chance."""
+    recorded = Recorded(np.array([1.0, 1.0]))
+    both = fitted(("a", "b"), 1.0, residuals=[[1.0], [1.0]])
+    one, other = (fitted((n,), 9.0, residuals=[[1.0], [101.0]]) for n in ("a", "c"))
+    gained, apart = 101.0**2 - 1.0, 100.0
+    assert decide.separation(both, one, recorded) == pytest.approx(gained / (2.0 * apart * np.sqrt(21.0)))
+    chance = (
+        0.5 * gained / (2.0 * apart)
+    )  # half of the gain may be error of the models, and it differs by all of it
+    assert decide.separation(both, other, recorded) == pytest.approx(gained / (2.0 * apart * chance))
+
+
 def test_noise_that_is_a_bound_counts_as_large_as_what_is_left_where_models_differ():
     single = Recorded(np.array([1.0, 1.0]), bounded=True)
     a = fitted(("a",), 0.0, residuals=[[1.0, 0.0], [3.0]])

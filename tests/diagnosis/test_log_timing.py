@@ -105,6 +105,7 @@ def test_a_time_of_reading_that_a_delay_undoes_is_none(tmp_path: Path) -> None:
 def test_start_states_are_not_tried_through_sensors_with_a_model():
     outcome = SimpleNamespace(
         corrected=None,
+        nominal=None,
         diagnosis=SimpleNamespace(
             verdict=SimpleNamespace(kind="unknown", provisional=False), gap=SimpleNamespace(present=True)
         ),

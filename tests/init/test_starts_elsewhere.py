@@ -53,11 +53,12 @@ def logs(
     samples: int = 200,
     late: int = 0,
     windy: float = 0.0,
+    offset: float = 0.0,
 ) -> list[Path]:
     """Logs of the room, which starts `warm` kelvin above the model or more, its wall by half of that and `wall`.
 
     The heater follows its command `late` samples later. The conductances of 24 W/K change by a share `windy` with a
-    wind.
+    wind. The sensor shows an `offset` more.
     """
     rng, paths, time = np.random.default_rng(2), [], 20.0 * np.arange(samples)
     (folder / "Room.mo").write_text(MODEL.replace("{start}", ", start=293, fixed=true"))
@@ -71,7 +72,7 @@ def logs(
             24.0 * (1.0 + windy * wind),
         )
         for k in range(repeats):
-            columns = [100.0 * k + time, power, true + 0.02 * rng.standard_normal(samples)]
+            columns = [100.0 * k + time, power, true + offset + 0.02 * rng.standard_normal(samples)]
             rows = np.column_stack([*columns, wind] if windy else columns)
             paths.append(folder / f"run{which}_{k}.csv")
             header = "time,P [W],T [K]" + ",wind [m/s]" * bool(windy)
@@ -127,6 +128,19 @@ def test_walls_that_were_warm_do_not_hide_a_coefficient_that_varies(tmp_path):
     assert any("start elsewhere than the model" in note for note in answer["notes"])
     assert answer["verdict"]["effects"] == ["varies@G(wind)"]
     assert run(["validate", str(out), "--experiment", "run0_0", "--workers", "0"]) == 0
+
+
+def test_a_sensor_with_an_offset_is_told_from_runs_that_start_elsewhere(tmp_path):
+    """Its log begins elsewhere, too, but one offset explains all runs."""
+    paths = logs(tmp_path, 0.0, repeats=1, offset=2.0)
+    campaign = fmuid.start(paths, model=tmp_path / "Room.mo", out=tmp_path / "room")
+    assert 'segments = "run"' in (tmp_path / "room" / "campaign.toml").read_text()
+    diagnosis = fmuid.diagnose(campaign, law=False).diagnosis
+    named = {*diagnosis.verdict.effects, *(name for one in diagnosis.verdict.one_of for name in one)}
+    assert named
+    assert named <= {"offset@T", "gain@T"}  # 2 K of 293 K
+    assert diagnosis.gap.corrected < 0.25
+    assert any("predicted from the model's start values" in note for note in diagnosis.notes)
 
 
 def test_runs_that_start_as_the_model_does_start_from_its_values(tmp_path):

@@ -94,14 +94,18 @@ def starts_matter(started: Refit, base: Fitted, observed: Observed) -> bool:
     return float(chdtrc(_start_states(observed), gained)) < SIGNIFICANCE
 
 
-def odds_of_starts(started: Refit, nominal: Fitted, explained: Fitted, observed: Observed) -> float:
-    """Return the logarithm of the odds of the nominal model `started` elsewhere in each run, against an effect.
+def odds_of_starts(
+    started: Refit, nominal: Fitted, explained: Fitted, observed: Observed, states: int | None = None
+) -> float:
+    """Return the logarithm of the odds of the nominal model `started` elsewhere, against an effect.
 
-    As in `log_odds`; each start state of each run is a parameter. `observed` has these states as nuisances.
+    As in `log_odds`; each of so many `states` is a parameter. By default, they are those of each run, which
+    `observed` has as nuisances. The nominal model may be the explanation itself.
     """
+    states = _start_states(observed) if states is None else states
     left = float(np.mean(observed.repeats)) * min(gap(started.residuals, observed), explained.gap) ** 2
     gained = (explained.fit.cost - started.cost) / (2.0 * spread(left) ** 2)
-    price = 0.5 * _start_states(observed) * float(np.log(nominal.held_out.size.sum()))
+    price = 0.5 * states * float(np.log(nominal.held_out.size.sum()))
     return gained - price + _price(explained) - _price(nominal)
 
 
@@ -137,14 +141,22 @@ def _compared(a: Fitted, b: Fitted, observed: Observed, without: int | None) -> 
 
 
 def _scatter(a: Fitted, b: Fitted, observed: Observed, without: int | None) -> float:
-    """Return the standard error of the difference of two models' costs, from its differences among experiments."""
-    each: dict[int, float] = {}
+    """Return the standard error of the difference of two models' costs, from its differences among experiments.
+
+    Where one model has all effects of the other, an experiment may show the further ones more than another does:
+    the difference is then in proportion to how far apart their predictions are, and what differs from that counts.
+    """
+    each: dict[int, list[float]] = {}
     for (e, rows), group in zip(observed.folds, observed.groups, strict=True):
         if e != without:
-            costs = [float(f.fit.residuals[e][rows] @ f.fit.residuals[e][rows]) for f in (a, b)]
-            each[group] = each.get(group, 0.0) + float(observed.repeats[e]) * (costs[1] - costs[0])
-    n = len(each)
-    return float(np.sqrt(n) * np.std(list(each.values()), ddof=1)) if n > 1 else 0.0
+            ra, rb = (f.fit.residuals[e][rows] for f in (a, b))
+            parts = float(rb @ rb) - float(ra @ ra), float((ra - rb) @ (ra - rb))
+            so_far = each.get(group, [0.0, 0.0])
+            each[group] = [t + float(observed.repeats[e]) * part for t, part in zip(so_far, parts, strict=True)]
+    n, (gained, apart) = len(each), np.transpose([*each.values()]) if each else np.zeros((2, 0))
+    nested = {*a.effects} < {*b.effects} or {*b.effects} < {*a.effects}
+    expected = apart * gained.sum() / apart.sum() if nested and apart.any() else gained.mean() if n else 0.0
+    return float(np.sqrt(n / (n - 1) * np.sum((gained - expected) ** 2))) if n > 1 else 0.0
 
 
 def spread(left: float) -> float:

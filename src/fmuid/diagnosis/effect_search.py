@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations
 
@@ -17,6 +17,7 @@ from fmuid.diagnosis.candidates import (
     Fitted,
     add_effect,
     approach_effect,
+    leaving_out,
     led_out,
     moved,
     promising,
@@ -29,10 +30,20 @@ from fmuid.diagnosis.candidates import (
     worth_care,
 )
 from fmuid.diagnosis.cross_validation import NoiseDraws
-from fmuid.diagnosis.observed import excess, project_off
-from fmuid.diagnosis.refit import about
-from fmuid.diagnosis.scores import SEEN, Score, alias_classes, largest_drop, nominal_basis, similarity, stack
-from fmuid.diagnosis.subject import Subject
+from fmuid.diagnosis.observed import excess, gap, orthonormal, project_off
+from fmuid.diagnosis.refit import Refit, about
+from fmuid.diagnosis.scores import (
+    SEEN,
+    Score,
+    alias_classes,
+    largest_drop,
+    nominal_basis,
+    score_effects,
+    similarity,
+    stack,
+)
+from fmuid.diagnosis.subject import Subject, responses_to_states
+from fmuid.effects.effect import Unknown
 
 _SINGLES = 7  # effects refitted on their own
 _EARLY = 3  # of these, chosen by what early parts of the runs say
@@ -298,6 +309,43 @@ def holds(subject: Subject, nominal: Fitted, best: Fitted | None) -> bool:
     """Return whether an explanation holds beyond doubt on left-out experiments."""
     return best is not None and decide.beyond_doubt(
         nominal, best, finished=best.gap <= GAP_THAT_MATTERS, bounded=subject.observed.bounded
+    )
+
+
+def promise_more_than_starts(subject: Subject, fit: Refit, started: Subject, freed: Refit) -> bool:
+    """Return whether effects promise to be likelier than start states that are estimated.
+
+    The start states of each run were refitted, in `freed`. Those that all runs share, and up to two effects, are
+    linear at `fit`, the refit of the plain model.
+    """
+    observed, basis = subject.observed, nominal_basis(fit, subject.observed)
+    residual, nominal = stack(fit.residuals, observed), leaving_out(subject, (), fit, chords=0)
+    ends = np.cumsum([len(part) for part in fit.residuals])[:-1]
+
+    def leaving(left: FloatArray, more: Sequence[Unknown] = ()) -> Fitted:
+        parts = [p / np.sqrt(n) for p, n in zip(np.split(left, ends), observed.repeats, strict=True)]
+        cost = fit.cost - float(residual @ residual) + float(left @ left)
+        linear = replace(fit, unknowns=(*fit.unknowns, *more), residuals=tuple(parts), cost=cost)
+        return replace(nominal, fit=linear, gap=gap(parts, observed))
+
+    responses = [*responses_to_states(observed, started.model, fit.values)]
+    setups = [run.setup for run in observed.runs]
+    shared = [
+        stack([r if setup == one else 0.0 * r for r, setup in zip(responses, setups, strict=True)], observed)
+        for one in dict.fromkeys(setups)
+    ]
+    together = orthonormal(project_off(np.hstack(shared), basis))
+    equal = leaving(project_off(residual, together))
+    scores = score_effects(subject.model.predict, observed, fit, subject.effects)
+    signatures = {s.effect: s.signature for s in scores if s.signature is not None}
+    chosen, left = list[str](), residual
+    while signatures and len(chosen) < decide.MOST_CALIBRATED:
+        chosen.append(max(signatures, key=lambda name: abs(float(signatures[name] @ left))))
+        left = project_off(residual, orthonormal(np.stack([signatures[name] for name in chosen], axis=1)))
+    effects = leaving(left, [u for name in chosen for u in subject.by_id[name].unknowns])
+    return (
+        decide.odds_of_starts(freed, nominal, effects, started.observed) < 0.0
+        and decide.odds_of_starts(equal.fit, nominal, effects, observed, together.shape[1]) < 0.0
     )
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -107,15 +107,21 @@ def with_states(observed: Observed, model: CampaignModel, values: Mapping[str, f
     """
     if not any(isinstance(case.simulator, Segmented) for case in model.cases):
         return observed
-    bases = []
+    responses = responses_to_states(observed, model, values)
+    return replace(observed, nuisances=tuple(read_only(orthonormal(r, _DEPENDENT)) for r in responses))
+
+
+def responses_to_states(
+    observed: Observed, model: CampaignModel, values: Mapping[str, float]
+) -> Iterator[FloatArray]:
+    """Yield the whitened responses of each run to the initial states of its segments, linearised at `values`."""
     for case, whiten in zip(model.cases, observed.whiteners, strict=True):
-        columns = np.zeros((whiten.size, 0))
         if isinstance(case.simulator, Segmented):
             at = model.start_values(case, {**model.fixed, **values})
             tangents = case.simulator.state_tangents(at)[:, :, case.lead :]
-            columns = whiten(tangents).reshape(len(tangents), -1).T
-        bases.append(read_only(orthonormal(columns, _DEPENDENT)))
-    return replace(observed, nuisances=tuple(bases))
+            yield whiten(tangents).reshape(len(tangents), -1).T
+        else:
+            yield np.zeros((whiten.size, 0))
 
 
 def findings_of(model: CampaignModel, stages: Mapping[str, StageSpec]) -> tuple[str, ...]:
