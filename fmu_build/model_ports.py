@@ -187,11 +187,17 @@ def coefficients(flat: FlatModel, parameter: str | None = None) -> tuple[Coeffic
 
 
 def across_branches(flat: FlatModel) -> dict[str, str]:
-    """Return the written branch across which each variable is the difference: of ``twist = phi - phil``, say."""
-    nodes = [(d.node, port.name) for port in find_ports(flat) for d in port.differences if not d.rates]
+    """Return the written branch across which each variable is the difference: of ``twist = phi - phil``, say.
+
+    The position of a mass on a spring is the difference to the ground.
+    """
+    ports = find_ports(flat)
+    grounded = [p for p in ports if p.kind == "branch" and len(p.shares) == 1]
+    held = {flat_name(p.quantities["p"]): p.name for p in grounded if isinstance(p.quantities["p"], Reference)}
+    nodes = [(d.node, port.name) for port in ports for d in port.differences if not d.rates]
     explicit = [(flat_name(e.left), e.right) for e in flat.equations if isinstance(e.left, Reference)]
     explicit += [(name, value) for name, value in flat.bindings()]
-    return {name: branch for name, value in explicit for node, branch in nodes if node == value}
+    return held | {name: branch for name, value in explicit for node, branch in nodes if node == value}
 
 
 def in_products_with(flat: FlatModel, parameter: str) -> set[str]:

@@ -157,12 +157,16 @@ def with_starts_of_runs(
 
 
 def starting_as_modelled(
-    campaign: Campaign, subject: Subject, made: Callable[[Campaign], tuple[Campaign, Subject]]
+    campaign: Campaign,
+    subject: Subject,
+    subject_with: Callable[[Campaign], Subject],
+    made: Callable[[Campaign], tuple[Campaign, Subject]],
 ) -> tuple[Campaign, Subject]:
     """Return campaign and subject without estimated start states, if effects promise to be likelier.
 
     A log that begins elsewhere than the model may be that of a sensor with an offset, which estimated start states
-    hide. They are estimated after all if the effects do not keep their promise (`with_starts_of_runs`).
+    hide, if they explain as much as a second effect has to. They are estimated after all if the effects do not
+    keep their promise (`with_starts_of_runs`).
     """
     stages = {
         name: replace(stage, segments=None) if stage.segments == math.inf else stage
@@ -170,15 +174,20 @@ def starting_as_modelled(
     }
     if not subject.observed.nuisances or stages == campaign.stages:
         return campaign, subject
-    changed, whole = made(replace(campaign, stages=stages))
+    whole = subject_with(replace(campaign, stages=stages))
     fit = None if whole.observed.nuisances else refit_only(whole, (), [whole.fitted])
     if fit is None or len(whole.observed.runs) != len(subject.observed.runs):
         return campaign, subject
     with suppress(SimulationError):
         started = _started(subject, whole.observed, fit)
         freed = refit_only(started, (), [fit.values])
-        if freed is not None and promise_more_than_starts(whole, fit, started, freed):
-            return changed, replace(whole, findings=(*whole.findings, _AS_MODELLED))
+        if freed is None:
+            return campaign, subject
+        subject = replace(subject, fitted=freed.values)
+        closed = share_closed(gap(fit.residuals, whole.observed), gap(freed.residuals, started.observed))
+        if closed >= GAIN_OF_A_SECOND and promise_more_than_starts(whole, fit, started, freed):
+            campaign, whole = made(replace(campaign, stages=stages))
+            return campaign, replace(whole, findings=(*whole.findings, _AS_MODELLED))
     return campaign, subject
 
 
@@ -384,7 +393,7 @@ def diagnose(
 
         campaign, subject = made(campaign)
         first = campaign.effects
-        campaign, subject = starting_as_modelled(campaign, subject, made)
+        campaign, subject = starting_as_modelled(campaign, subject, subject_with, made)
         key = calibration.key_of(_files(campaign, subject), subject)
         rehearsal = _rehearsed(subject, rehearse, seed, say) if rehearse else []
         if rehearse:

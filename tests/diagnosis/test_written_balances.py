@@ -10,7 +10,7 @@ import pytest
 
 from fmu_build import load
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import find_ports
+from fmu_build.model_ports import across_branches, find_ports
 from fmuid.cli.app import run
 from fmuid.core.campaign import ModelSource
 from fmuid.diagnosis.made_catalogue import possible_laws
@@ -73,6 +73,19 @@ def simulated(fmu, name, **parameters):
 )
 def test_balances_loops_and_differences_are_ports(name, kinds):
     assert {port.name: port.kind for port in find_ports(flat(name))} == kinds
+
+
+@pytest.mark.parametrize(
+    ("name", "across"),
+    [
+        ("Shaft", {"twist": "wl.w"}),
+        ("Loudspeaker", {"x": "x.ground"}),
+        ("Screw", {"screw.rel": "screw"}),
+        ("Tanks", {}),
+    ],
+)
+def test_variables_that_are_a_difference_belong_to_its_branch(name, across):
+    assert across_branches(flat(name)) == across
 
 
 def test_the_laws_there_are_those_of_their_domains():

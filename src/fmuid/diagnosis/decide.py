@@ -211,8 +211,8 @@ def merge_equivalent(
     do, and by little next to what they leave: rigidly coupled shafts are one place, and the limit of a heater is
     its gain. Friction that differs between the directions is plain friction where a shaft never reverses: laws of
     one place need only be equal within the noise. A law of a branch or an input and a coefficient that varies with
-    its variable say the same, and are one where the measurements leave both open. The most usual and simplest of a
-    group comes first, and stands for it; a law of the library leads.
+    its variable say the same, and are one unless the measurements contradict one of them. The most usual and
+    simplest of a group comes first, and stands for it; a law of the library leads.
     """
 
     def preference(fitted: Fitted) -> list[tuple[bool, tuple[bool, int, bool]]]:
@@ -227,7 +227,7 @@ def merge_equivalent(
             return False
         only = [effects[name] for x, y in ((a, b), (b, a)) for name in x.effects if name not in y.effects]
         if len(only) == 2 and (says_the_same(*only) or says_the_same(*reversed(only))):
-            return comparable(a, b) and abs(log_odds(a, b, observed)) < np.log(OPEN)
+            return comparable(a, b) and abs(separation(a, b, observed)) < SAME
         apart = _apart(a, b, observed)
         if apart <= _IDENTICAL * moved(a):
             return apart <= _EQUAL * _compared(a, b, observed, None)[2]
