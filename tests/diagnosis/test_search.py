@@ -88,6 +88,27 @@ def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_the_start
     assert diagnosis.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
 
 
+def test_an_effect_is_found_from_start_values_that_are_far_away():
+    """A step from there promises to leave more with the cause than the estimate, -1, leaves without it."""
+
+    class Bent(Reading):
+        def simulate(self, task, parameters):
+            values = {**task.start_values, **parameters}
+            k = max(values["k"], 0.0)
+            more = {"cause": k * values.get("cause", 0.0), "square": k * (k - 1.0), "cube": k**2 * (k - 1.0)}
+            return super().simulate(task, {**values, **more})
+
+    laws = {"cause": {0: -2.0, 2: 0.3}, "other": {3: 1.0}}
+    subject = heard(laws, laws["cause"])
+    bent = Bent({**laws, "square": {1: 0.5}, "cube": {4: 0.5}})
+    cases = tuple(replace(case, simulator=bent) for case in subject.model.cases)
+    nominal = (replace(subject.nominal[0], start=3.0),)
+    subject = replace(subject, model=replace(subject.model, cases=cases), nominal=nominal)
+    diagnosis = diagnose_subject(subject).diagnosis
+    assert diagnosis.verdict.effects == ("cause",)
+    assert diagnosis.model == pytest.approx({"k": 1.0, "cause": 1.0}, abs=0.05)
+
+
 def test_an_effect_that_promises_nothing_at_the_estimate_is_found_from_where_another_one_leads(monkeypatch):
     """Without the cause, `k` is estimated as 2, where the cause does what `k` does; `other` leaves little."""
 

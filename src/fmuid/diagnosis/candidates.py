@@ -388,10 +388,15 @@ def score_at_start(
     """Score effects as `score_further` does at the model's start values.
 
     Without the effect that is missing, a refit may end far away, where that effect no longer promises anything.
-    Effects that promise to leave more there than `fitted` leaves without them are left out.
+    Effects that promise to leave more there than `fitted` leaves without them are left out, unless promises from
+    there are too small: the plain parameters then promise to leave more than their refit left.
     """
     there = unfitted(subject, fitted, subject.starts)
-    return () if there is None else score_there(subject, there, fitted.fit.cost, likely=likely, most=most)
+    if there is None:
+        return ()
+    left = fitted.fit.cost
+    most_left = left if _left_by_a_step(subject, there) <= about(left) else np.inf
+    return score_there(subject, there, most_left, likely=likely, most=most)
 
 
 def unfitted(subject: Subject, fitted: Fitted, values: Mapping[str, float]) -> Fitted | None:
@@ -405,10 +410,15 @@ def score_there(
     subject: Subject, there: Fitted, worth: float, *, likely: Sequence[Score] = (), most: int | None = None
 ) -> tuple[Score, ...]:
     """Score effects as `score_further` does, and return those that promise to leave less than the cost `worth`."""
-    scores = score_further(subject, there, likely=likely, most=most)
+    scores, left = score_further(subject, there, likely=likely, most=most), _left_by_a_step(subject, there)
+    return tuple(s for s in scores if left - s.drop < worth)
+
+
+def _left_by_a_step(subject: Subject, there: Fitted) -> float:
+    """Return the cost that a linear step of the fitted parameters promises to leave."""
     basis, residual = nominal_basis(there.fit, subject.observed), stack(there.fit.residuals, subject.observed)
     left = project_off(residual, basis)
-    return tuple(s for s in scores if float(left @ left) - s.drop < worth)
+    return float(left @ left)
 
 
 def refitted_early(subject: Subject, fitted: Fitted) -> tuple[Subject, Fitted | None]:
@@ -458,11 +468,15 @@ def add_effect(
 
 
 def approach_effect(
-    subject: Subject, fit: Refit, score: Score, most: float = np.inf
+    subject: Subject, fit: Refit, score: Score, most: float = np.inf, *, everywhere: bool = False
 ) -> tuple[float, Mapping[str, float]] | None:
-    """Return where a quick search with the scored effect added to a refit ends; see `approach`."""
+    """Return where a quick search with the scored effect added to a refit ends; see `approach`.
+
+    It begins at the refit and at the start values: at the worse of them only if it promises enough, or if
+    `everywhere` is set.
+    """
     unknowns = (*fit.unknowns, *subject.by_id[score.effect].unknowns)
-    return approach(subject, unknowns, _starts(subject, fit, score), most)
+    return approach(subject, unknowns, _starts(subject, fit, score, everywhere=everywhere), most)
 
 
 def costs_with(subject: Subject, fit: Refit) -> dict[str, float]:
@@ -499,11 +513,12 @@ def worth_care(least: float, before: float) -> float:
     return max(before - _AS_MUCH * (before - least), about(least)) if about(least) < before else np.inf
 
 
-def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, float]]:
+def _starts(subject: Subject, fit: Refit, score: Score, *, everywhere: bool = False) -> list[Mapping[str, float]]:
     """Return where to begin with the scored effect added to `fit`.
 
     Parameters refitted without the effect may have shifted to imitate it, so the campaign's start values are tried
-    as well. The worse of the two counts only if a step from there promises to leave less than `fit` does.
+    as well. The worse of the two counts only if a step from there promises to leave less than `fit` does, or if
+    both are asked for.
     """
     effect = subject.by_id[score.effect]
     # The signature says how large the effect should be, as far as the response is linear in its size.
@@ -515,7 +530,7 @@ def _starts(subject: Subject, fit: Refit, score: Score) -> list[Mapping[str, flo
         (_best_start(subject, [{**at, **size} for size in sizes], basis, at) for at in (fit.values, unbent)),
         key=lambda start: start[1],
     )
-    enough = (np.inf, fit.cost)
+    enough = (np.inf, np.inf if everywhere else fit.cost)
     return [start for (start, cost), most in zip(starts, enough, strict=True) if cost < most]
 
 

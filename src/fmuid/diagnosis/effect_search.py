@@ -94,15 +94,15 @@ def search(
         Whether another search follows unless the best explanation of this one holds beyond doubt. A pair that
         does not is then left as it is.
     """
-    singles, early, elsewhere = _promising(scores)[:2], list[str](), _Elsewhere()
+    singles, early, begin, elsewhere = _promising(scores)[:2], list[str](), list[str](), _Elsewhere()
     if present:
         elsewhere = _elsewhere(subject, nominal, _Elsewhere(scores, scores))
-        singles, early = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
+        singles, early, begin = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
 
     def tell(task: str, done: float) -> None:
         say(task, 0.15 + 0.35 * done)
 
-    candidates = _added(subject, nominal, singles, early, say=tell)
+    candidates = _added(subject, nominal, singles, early, begin, say=tell)
     if not candidates:
         return [], None
     best = decide.best_of(candidates, subject.observed)
@@ -184,21 +184,23 @@ def _elsewhere(subject: Subject, fitted: Fitted, before: _Elsewhere, most: int |
     )
 
 
-def _chosen(elsewhere: _Elsewhere, whole: Sequence[Score], most: int, first: int) -> tuple[list[Score], list[str]]:
+def _chosen(
+    elsewhere: _Elsewhere, whole: Sequence[Score], most: int, first: int
+) -> tuple[list[Score], list[str], list[str]]:
     """Return the effects to add: those that promise most early, at the start values, and at the estimate.
 
     The `first` effects of each are in addition to those at the estimate, which are tried first: they are known to
-    gain. The early ones are also returned by name.
+    gain. The first ones early and at the start values are also returned by name.
     """
     early, begin = (
         {s.effect: s for s in _promising(scores) if s.drop > SEEN**2}
         for scores in (elsewhere.early, elsewhere.at_start)
     )
     by_name = {**begin, **early, **{s.effect: s for s in whole}}
-    names = list(early)[:first]
-    order = dict.fromkeys([*names, *list(begin)[:first], *(s.effect for s in whole)])
+    firsts = [*early][:first], [*begin][:first]
+    order = dict.fromkeys([*firsts[0], *firsts[1], *(s.effect for s in whole)])
     chosen, at_estimate = [by_name[name] for name in order][: most + first], {s.effect for s in whole}
-    return sorted(chosen, key=lambda s: s.effect not in at_estimate), names
+    return sorted(chosen, key=lambda s: s.effect not in at_estimate), *firsts
 
 
 def _signatures(
@@ -373,6 +375,7 @@ def _added(
     fitted: Fitted,
     scores: Sequence[Score],
     early: Sequence[str] = (),
+    at_start: Sequence[str] = (),
     *,
     extended: int = _EXTENDED,
     rival: float = np.inf,
@@ -382,14 +385,16 @@ def _added(
 
     Quick searches with each of them choose those that are refitted with care. The `extended` best fits, and
     `early` effects, which may be far from their best, escape from local minima. An early effect whose quick search
-    gains less than its uncertainty promises no more than others do.
+    gains less than its uncertainty promises no more than others do. Quick searches with effects
+    that promise most `at_start` begin at the start values as well.
     """
     approached: list[tuple[float, Mapping[str, float], Score]] = []
     for k, score in enumerate(scores):
         say(f"trying {score.effect}", 0.4 * k / len(scores))
         least = min((cost for cost, *_ in approached), default=np.inf)
         most = np.inf if score.effect in early else worth_care(least, fitted.fit.cost)
-        if (end := approach_effect(subject, fitted.fit, score, most)) is not None:
+        end = approach_effect(subject, fitted.fit, score, most, everywhere=score.effect in at_start)
+        if end is not None:
             approached.append((*end, score))
     best = promising(approached, fitted.fit.cost)
     gaining = [one for one in approached if one[2].effect in early and about(one[0]) < fitted.fit.cost]
