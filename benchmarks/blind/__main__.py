@@ -86,9 +86,8 @@ def publish(seed: int, work: Path, labels: Path) -> Path:
             break
         made.append(json.loads(file.read_text()))
         records.append({"case": file.stem, **json.loads(record.read_text())})
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
+    command, file = ["git", "rev-parse", "HEAD"], target / "seed.json"
+    commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     hashes = [
         f"{digest}  {label['case']}/{name}" for label in made for name, digest in label.pop("sha256").items()
     ]
@@ -96,8 +95,9 @@ def publish(seed: int, work: Path, labels: Path) -> Path:
     (target / "answers.jsonl").write_text(_lines(records), encoding="utf-8")
     (target / "logs.sha256").write_text("\n".join(hashes) + "\n", encoding="utf-8")
     _measure(target, made)
+    before = json.loads(file.read_text()) if file.is_file() else {}  # how many labels may be read stays
     told = {"seed": seed, "grammar": VERSION, "commit": commit, "cases": len(made), "answers": len(records)}
-    (target / "seed.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    file.write_text(json.dumps(before | told, indent=1) + "\n", encoding="utf-8")
     return target
 
 
