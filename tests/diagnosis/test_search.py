@@ -273,7 +273,8 @@ def test_effects_are_refitted_with_care_that_gain_half_as_much_as_the_best_or_fr
     scores = sorted(score_further(subject, nominal), key=lambda s: s.effect)
     begun, limits = {}, {}
 
-    def approached(subject, fit, score, most):
+    def approached(subject, fit, score, most, *, everywhere):
+        assert not everywhere
         limits[score.effect] = most / fit.cost
         return fit.cost * gains.get(score.effect, 1.1), {**fit.values, score.effect: 0.7}
 
