@@ -558,7 +558,6 @@ class _Finder:
                         "p": tuple(self.physical[path][1] for path in connectors),
                         "flow": (self.physical[plain.name][2],),
                     },
-                    preferred=self._preferred(component),
                 )  # fmt: skip
         return None
 

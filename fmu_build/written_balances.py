@@ -108,7 +108,7 @@ class Coupling:
     Attributes
     ----------
     domain, units
-        Of the difference, and of the flow that it drives.
+        Domain of the difference; its unit and the unit of the flow that it drives.
     factors
         Of the two potentials; None is 1.
     differences

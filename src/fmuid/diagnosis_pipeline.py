@@ -174,7 +174,8 @@ def starting_as_modelled(
     }
     if not subject.observed.nuisances or stages == campaign.stages:
         return campaign, subject
-    whole = subject_with(replace(campaign, stages=stages))
+    plain = replace(campaign, stages=stages)
+    whole = subject_with(plain)
     fit = None if whole.observed.nuisances else refit_only(whole, (), [whole.fitted])
     if fit is None or len(whole.observed.runs) != len(subject.observed.runs):
         return campaign, subject
@@ -186,8 +187,8 @@ def starting_as_modelled(
         subject = replace(subject, fitted=freed.values)
         closed = share_closed(gap(fit.residuals, whole.observed), gap(freed.residuals, started.observed))
         if closed >= GAIN_OF_A_SECOND and promise_more_than_starts(whole, fit, started, freed):
-            campaign, whole = made(replace(campaign, stages=stages))
-            return campaign, replace(whole, findings=(*whole.findings, _AS_MODELLED))
+            plain, whole = made(plain)
+            return plain, replace(whole, findings=(*whole.findings, _AS_MODELLED))
     return campaign, subject
 
 
@@ -271,7 +272,8 @@ _LITTLE = 0.05  # of the gap: an equation or a table for the rest would improve 
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _FAR = 2.0  # times a start value: what is known of a rig is seldom worse than that
 _AS_MODELLED = (
-    "Runs are predicted from the model's start values: effects are likelier than estimated start states."
+    "Runs are predicted from the model's start values, because effects are more likely than start states that are"
+    " estimated."
 )
 _BOUNDED = (
     "Runs were not repeated, so their noise was not measured: its bound is what no smooth motion explains. "

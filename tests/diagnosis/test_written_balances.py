@@ -188,7 +188,7 @@ def test_backlash_in_a_written_difference_is_backlash(name, place, slack, gap):
     wanted, plain = (simulated(built_model(source(n)), n) for n in (slack, name))
     for row, of_plain, of_slack in zip(ours, plain, wanted, strict=True):
         assert np.abs(of_slack - of_plain).max() > 0.01 * np.ptp(of_slack)
-        np.testing.assert_allclose(row, of_slack, atol=2e-4 * np.ptp(of_slack))
+        np.testing.assert_allclose(row, of_slack, atol=1e-4 * np.ptp(of_slack))
 
 
 @pytest.mark.parametrize(("name", "place", "gap"), [("Shaft", "wl.w", 0.02), ("Screw", "screw", 1e-4)])
@@ -201,13 +201,10 @@ def test_a_twist_that_has_backlash_already_can_have_more(name, place, gap):
     twice = simulated(built_with_terms(source(name), once, *more), name)
     wanted = simulated(built_with_terms(source(name), flat(name), *wider), name)
     for row, of_wider in zip(twice, wanted, strict=True):
-        np.testing.assert_allclose(row, of_wider, atol=2e-4 * np.ptp(of_wider))
+        np.testing.assert_allclose(row, of_wider, atol=1e-4 * np.ptp(of_wider))
 
 
-OF_EQUATIONS = ["Shaft", "Loudspeaker", "Tanks", "Oven", "Cart", "Plain", "Filtered", "Screw", "Carriage"]
-
-
-@pytest.mark.parametrize("name", OF_EQUATIONS)
+@pytest.mark.parametrize("name", [n for n in INPUTS if not n.startswith("Slack") and n != "Motor"])
 def test_all_off_the_outputs_are_bit_for_bit_the_plain_ones(name, tmp_path):
     catalogue = every_law(flat(name), tmp_path)
     effects = [e for e in catalogue.effects.values() if not e.variant and not e.states]

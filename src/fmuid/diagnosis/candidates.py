@@ -394,9 +394,9 @@ def score_at_start(
     there = unfitted(subject, fitted, subject.starts)
     if there is None:
         return ()
-    left = fitted.fit.cost
-    most_left = left if _left_by_a_step(subject, there) <= about(left) else np.inf
-    return score_there(subject, there, most_left, likely=likely, most=most)
+    if _left_by_a_step(subject, there) > about(fitted.fit.cost):
+        return score_further(subject, there, likely=likely, most=most)
+    return score_there(subject, there, fitted.fit.cost, likely=likely, most=most)
 
 
 def unfitted(subject: Subject, fitted: Fitted, values: Mapping[str, float]) -> Fitted | None:

@@ -153,10 +153,13 @@ def _scatter(a: Fitted, b: Fitted, observed: Observed, without: int | None) -> f
             parts = float(rb @ rb) - float(ra @ ra), float((ra - rb) @ (ra - rb))
             so_far = each.get(group, [0.0, 0.0])
             each[group] = [t + float(observed.repeats[e]) * part for t, part in zip(so_far, parts, strict=True)]
-    n, (gained, apart) = len(each), np.transpose([*each.values()]) if each else np.zeros((2, 0))
+    n = len(each)
+    if n < 2:
+        return 0.0
+    gained, apart = np.transpose([*each.values()])
     nested = {*a.effects} < {*b.effects} or {*b.effects} < {*a.effects}
-    expected = apart * gained.sum() / apart.sum() if nested and apart.any() else gained.mean() if n else 0.0
-    return float(np.sqrt(n / (n - 1) * np.sum((gained - expected) ** 2))) if n > 1 else 0.0
+    expected = apart * gained.sum() / apart.sum() if nested and apart.any() else gained.mean()
+    return float(np.sqrt(n / (n - 1) * np.sum((gained - expected) ** 2)))
 
 
 def spread(left: float) -> float:

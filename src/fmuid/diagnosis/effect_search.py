@@ -94,15 +94,15 @@ def search(
         Whether another search follows unless the best explanation of this one holds beyond doubt. A pair that
         does not is then left as it is.
     """
-    singles, early, begin, elsewhere = _promising(scores)[:2], list[str](), list[str](), _Elsewhere()
+    singles, early, at_start, elsewhere = _promising(scores)[:2], list[str](), list[str](), _Elsewhere()
     if present:
         elsewhere = _elsewhere(subject, nominal, _Elsewhere(scores, scores))
-        singles, early, begin = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
+        singles, early, at_start = _chosen(elsewhere, _promising(scores), _SINGLES, _EARLY)
 
     def tell(task: str, done: float) -> None:
         say(task, 0.15 + 0.35 * done)
 
-    candidates = _added(subject, nominal, singles, early, begin, say=tell)
+    candidates = _added(subject, nominal, singles, early, at_start, say=tell)
     if not candidates:
         return [], None
     best = decide.best_of(candidates, subject.observed)
@@ -385,8 +385,8 @@ def _added(
 
     Quick searches with each of them choose those that are refitted with care. The `extended` best fits, and
     `early` effects, which may be far from their best, escape from local minima. An early effect whose quick search
-    gains less than its uncertainty promises no more than others do. Quick searches with effects
-    that promise most `at_start` begin at the start values as well.
+    gains less than its uncertainty promises no more than others do. Quick searches with effects that promise most
+    `at_start` begin at the start values as well.
     """
     approached: list[tuple[float, Mapping[str, float], Score]] = []
     for k, score in enumerate(scores):
