@@ -76,7 +76,6 @@ def test_the_equation_of_an_unknown_law_is_found_and_goes_into_the_model(tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="ambiguous: radiation, or a conductance that grows")
 def test_a_law_at_a_component_is_a_coefficient_that_varies_beside_another_effect(tmp_path):
     """A flow in parallel to a wall that saturates: its conductance falls with its own flow."""
     law = Extra("wall", lambda values, *_: 1.5 * np.tanh(values["p"] / 8.0))
@@ -158,7 +157,6 @@ def _effect() -> Effect:
     return Effect("law@b", "a law", "b", (), {}, (), "nowhere")
 
 
-@pytest.mark.slow
 def test_a_loss_that_grows_from_run_to_run_is_a_law_of_time(tmp_path):
     rng, paths = np.random.default_rng(1), []
     for day in range(4):
