@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.campaigns.signal_catalogue import OF_VALUE
 from fmuid.core.errors import SimulationError
@@ -58,18 +59,10 @@ def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatAr
     prediction
         (C, N) per experiment, at the estimate.
     """
-    steps = np.array([u.step for u in fit.unknowns])
-    whitened = stack(fit.jacobian, observed) * steps
-    norms = np.linalg.norm(whitened, axis=0)
-    seen = norms > 0.0
-    errors: FloatArray = np.full(len(steps), np.nan)
-    if not seen.any():
+    seen, scale, bread = _curvature(fit, observed)
+    errors: FloatArray = np.full(len(seen), np.nan)
+    if bread is None:
         return errors
-    scale = steps[seen] / norms[seen]
-    _, s, axes = np.linalg.svd(whitened[:, seen] / norms[seen], full_matrices=False)
-    if s[-1] <= _DETERMINED * s[0]:
-        return errors
-    bread = (axes.T / s**2) @ axes
     records: dict[str, list[Record]] = {}
     for run, whiten, jacobian, y in zip(observed.runs, observed.whiteners, fit.jacobian, prediction, strict=True):
         columns = (jacobian[:, seen] * scale).T.reshape(int(seen.sum()), len(run.channels), -1)
@@ -82,6 +75,29 @@ def standard_errors(fit: Refit, observed: Observed, prediction: Sequence[FloatAr
     variance = np.maximum(np.diag(bread @ meat @ bread), np.diag(bread))
     errors[seen] = np.sqrt(variance) * scale
     return errors
+
+
+def errors_of_the_cost(fit: Refit, observed: Observed) -> dict[str, float]:
+    """Return the standard errors of a refit if the noise floor were all that it leaves; inf if undetermined."""
+    seen, scale, bread = _curvature(fit, observed)
+    errors: FloatArray = np.full(len(seen), np.inf)
+    if bread is not None:
+        errors[seen] = np.sqrt(np.diag(bread)) * scale
+    return dict(zip((u.name for u in fit.unknowns), map(float, errors), strict=True))
+
+
+def _curvature(fit: Refit, observed: Observed) -> tuple[NDArray[np.bool_], FloatArray, FloatArray | None]:
+    """Return which parameters move anything, and for these their units and the inverse of the cost's curvature.
+
+    The units make columns of whitened residuals of length 1. Without an inverse, the data do not determine them.
+    """
+    whitened = stack(fit.jacobian, observed)
+    norms = np.linalg.norm(whitened, axis=0)
+    seen = norms > 0.0
+    scale = 1.0 / norms[seen]
+    _, s, axes = np.linalg.svd(whitened[:, seen] * scale, full_matrices=False)
+    determined = len(s) > 0 and s[-1] > _DETERMINED * s[0]
+    return seen, scale, (axes.T / s**2) @ axes if determined else None
 
 
 def _transposed(whiten: Whitener | PiecewiseWhitener, whitened: FloatArray) -> FloatArray:

@@ -26,7 +26,7 @@ from fmuid.core.formulas import parse_modelica
 from fmuid.core.immutable import FloatArray
 from fmuid.core.progress import Say, quiet
 from fmuid.diagnosis import decide
-from fmuid.diagnosis.candidates import Fitted, estimates, fit_effects, leaving_out, without
+from fmuid.diagnosis.candidates import Fitted, errors_of_the_cost, estimates, fit_effects, leaving_out, without
 from fmuid.diagnosis.cross_validation import HeldOut, Null, advantage, closure, closure_interval
 from fmuid.diagnosis.diagnose import Closing, Found, where_it_enters
 from fmuid.diagnosis.free_functions import Response, fit_decoys, hats, moved_by, quantile_knots
@@ -266,15 +266,15 @@ class _Search:
         """Return the search with prior knowledge of all parameters from the model without a table.
 
         A table imitates its law at any size, so the law keeps the size that it has without one, within its error.
-        Other parameters, such as viscous friction, are known loosely: they move with what the data say.
+        Other parameters, such as viscous friction, are known loosely: they move with what the data say. Errors are
+        those that the cost of a refit knows of. A wrong shape makes larger ones, which would bind nothing.
         """
-        subject, plain = self.outcome.subject, self._plain()
+        subject, fit = self.outcome.subject, self.base.fit
+        errors = errors_of_the_cost(fit, subject.observed)
 
         def known(u: Unknown) -> Unknown:
-            estimate = plain.get(u.name, Estimate(u.start))
-            error = estimate.standard_error
-            loose = 1.0 if u.name in effect.neutral else _LOOSE
-            return u if not error or np.isfinite(u.sd) else replace(u, start=estimate.value, sd=loose * error)
+            error = errors.get(u.name, np.inf) * (1.0 if u.name in effect.neutral else _LOOSE)
+            return u if np.isinf(error) or np.isfinite(u.sd) else replace(u, start=fit.values[u.name], sd=error)
 
         effects = {id: replace(e, unknowns=tuple(map(known, e.unknowns))) for id, e in subject.by_id.items()}
         catalogue = replace(subject.catalogue, effects={**subject.catalogue.effects, **effects})
