@@ -55,7 +55,7 @@ from fmuid.discovery.learned_table import Tabulated, tabulate
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import Result
-from fmuid.init.timing import chosen, conventions_of
+from fmuid.init.timing import Convention, chosen, conventions_of
 from fmuid.simulation.model_source import flat_model
 from fmuid.simulation.pool.choice import runner_on
 from fmuid.simulation.recorded import RecordedSimulations
@@ -68,22 +68,29 @@ if TYPE_CHECKING:
 
 
 def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tuple[Campaign, str] | None:
-    """Return the campaign with the timing that explains what the diagnosis blames on signals, and a note.
+    """Return the campaign with the timing that explains what a diagnosis leaves or blames on signals, and a note.
 
-    That is a lag or delay of less than a sample, or crosstalk of an input: one that acts otherwise between its
-    samples looks like it, and it undoes a time of reading that a missing law imitates. Timings are judged with the
-    laws and the other effects of the answer. None if the diagnosis has neither, or if no other timing explains it.
+    Blamed are lags and delays of less than a sample, and crosstalk of an input: one that acts otherwise between
+    its samples looks like it, and it undoes a time of reading that a missing law imitates. More than noise may be
+    left because the timing was judged without the laws of the answer. So timings are judged with its laws and its
+    other effects. None if the diagnosis has neither, or if no other timing explains it.
     """
     setups, model = {}, outcome.subject.model
-    names = {without_owner(u.name) for u in outcome.subject.nominal}
+    left = outcome.diagnosis.verdict.kind != "complete" and outcome.corrected.gap > GAP_THAT_MATTERS
+    names = {without_owner(u.name) for u in (*outcome.subject.nominal, *outcome.corrected.fit.unknowns)}
     for setup in dict.fromkeys(case.setup for case in model.cases):
         blamed = _imitating_timing(outcome, [case for case in model.cases if case.setup == setup])
-        if not blamed:
+        if not blamed and not left:
             continue
         cases = [(c, v) for c, v in _shown_but_for(outcome, blamed) if c.setup == setup]
-        convention, known = chosen(conventions_of(cases, names, runner)), campaign.models[setup]
-        differs = (convention.timing, convention.read_after) != (known.timing, known.read_after)
-        if differs and (convention.explains or known.read_after):
+        model_of_log = campaign.models[setup]
+        known = Convention(model_of_log.timing, read_after=model_of_log.read_after)
+        conventions = conventions_of(cases, names, runner, known)
+        convention = chosen(conventions)
+        now = [c for c in conventions if (c.timing, c.read_after) == (known.timing, known.read_after)]
+        if convention in now or not (convention.explains or (blamed and known.read_after)):
+            continue
+        if blamed or not any(c.explains and not convention.surpasses(c) for c in now):
             setups[setup] = convention
     if not setups:
         return None

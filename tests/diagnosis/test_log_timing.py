@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.extended_model import CampaignModel
 from fmuid.diagnosis_pipeline import _begin_as_modelled, with_starts_of_runs, with_timing_of_log
 from fmuid.identification.problem.cases import from_campaign
+from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.fmu import load_fmu
 from fmuid.simulation.runners import in_process
 from fmuid.simulation.segmented import Segmented
@@ -24,11 +26,12 @@ MODEL = """
 model Heater
   parameter Real R = 20;
   parameter Real C = 50;
+  parameter Real k = 0;
   input Real u;
   output Real i = u/R;
   output Real x(start = 0, fixed = true);
 equation
-  C*der(x) = u*i - x;
+  C*der(x) = u*i - x - k*x^2;
 end Heater;
 """
 TOML = """
@@ -43,26 +46,46 @@ TIME = np.arange(0.0, 200.0, 1.0)
 
 
 def retimed(
-    tmp_path: Path, answer: dict[str, float], timing: str, after: tuple[str, ...] = (), offset: float = 0.0
+    tmp_path: Path,
+    answer: dict[str, float],
+    timing: str,
+    after: tuple[str, ...] = (),
+    *,
+    outputs: tuple[str, ...] = ("i", "x"),
+    read_after: float = 0.0,
+    offset: float = 0.0,
+    start: float = 0.0,
+    loss: float = 0.0,
+    gap: float = 0.0,
+    kind: str = "effect",
 ):
-    """What is made of the timing of a log that was written in some way, where a diagnosis has an answer."""
+    """What is made of the timing of a log that was written in some way, where a diagnosis has an answer.
+
+    With a `start`, runs begin there and not as the model does, and their start states are fitted. `loss` is that of
+    a law that the model lacks, of size `k` in the answer.
+    """
     (tmp_path / "Heater.mo").write_text(MODEL)
     model = load_fmu(build(tmp_path / "Heater.mo", "Heater", tmp_path, "2"))
     random = np.random.default_rng(4)
     u = np.repeat(random.uniform(2.0, 24.0, 25), 8)
-    y = model.simulate(Task(TIME, {"u": u}, ("i", "x"), after=after), {"R": 22.0, "C": 45.0})
+    task = Task(TIME, {"u": u}, outputs, after=after, read_after=read_after)
+    y = model.simulate(task, {"R": 22.0, "C": 45.0, "k": loss, **({"x": start} if start else {})})
     y += 0.01 * np.ptp(y, axis=1, keepdims=True) * random.normal(size=y.shape)
-    y[1] += offset
-    signals = {n: Signal(n, row, "1", "output") for n, row in zip(("i", "x"), y, strict=True)}
+    y[-1] += offset
+    signals = {n: Signal(n, row, "1", "output") for n, row in zip(outputs, y, strict=True)}
     run = Experiment("run", "bench", TIME, {"u": Signal("u", u, "1", "input"), **signals})
     write_measurements(Measurements({"run": run}), tmp_path / "measurements.h5")
     (tmp_path / "campaign.toml").write_text(TOML.replace('"linear"', timing))
     campaign = load_campaign(tmp_path)
     cases = from_campaign(campaign, list(campaign.measurements), (), {"bench": model})
+    if start:
+        cases = [segmented(case, math.inf, {"R": 20.0, "C": 50.0}) for case in cases]
     nominal = [SimpleNamespace(name=n, start=campaign.parameters[n].start) for n in ("R", "C")]
+    laws = [SimpleNamespace(name=n) for n in answer if n == "k"]
     diagnosed = SimpleNamespace(
         subject=SimpleNamespace(model=CampaignModel(tuple(cases)), nominal=nominal),
-        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, **answer})),
+        corrected=SimpleNamespace(fit=SimpleNamespace(values={"R": 22.0, **answer}, unknowns=laws), gap=gap),
+        diagnosis=SimpleNamespace(verdict=SimpleNamespace(kind=kind)),
     )
     return with_timing_of_log(campaign, diagnosed, in_process)
 
@@ -87,6 +110,34 @@ def test_what_the_timing_of_the_log_explains(
         assert changed is not None
         assert changed[0].models["bench"].timing == timing
         assert '\'bench\' was diagnosed with timing = "held-read-after" instead of "linear"' in changed[1]
+
+
+@pytest.mark.parametrize(
+    ("gap", "kind", "changes"), [(1.0, "unknown", True), (1.0, "complete", False), (0.2, "effect", False)]
+)
+def test_the_timing_of_the_log_may_be_what_is_left_beside_the_answer(gap, kind, changes, tmp_path: Path) -> None:
+    changed = retimed(tmp_path, {}, '"held"', after=("i", "x"), gap=gap, kind=kind)
+    assert (changed is not None) is changes
+    if changed is not None:
+        assert changed[0].models["bench"].timing == "held-read-after"
+
+
+@pytest.mark.parametrize("timing", ["held-read-after", "linear"])
+def test_a_timing_stays_where_nothing_on_signals_speaks_against_it_and_none_is_clearly_better(
+    timing: str, tmp_path: Path
+) -> None:
+    assert retimed(tmp_path, {}, f'"{timing}"', after=("i", "x"), gap=1.0) is None
+
+
+def test_the_timing_of_a_log_that_begins_elsewhere_is_judged_with_its_start_states(tmp_path: Path) -> None:
+    campaign, _ = retimed(tmp_path, {"x.delay": 0.4}, '"linear"', after=("i", "x"), start=15.0)
+    assert campaign.models["bench"].timing == "held-read-after"
+
+
+def test_the_laws_of_the_answer_are_refitted_with_every_timing(tmp_path: Path) -> None:
+    answer = {"x.crosstalk[u]": 0.1, "k": 0.5}
+    campaign, _ = retimed(tmp_path, answer, '"held"', outputs=("x",), read_after=0.6, loss=0.2)
+    assert campaign.models["bench"].read_after == pytest.approx(0.6, abs=0.05)
 
 
 def test_the_timing_of_the_log_is_judged_beside_other_effects(tmp_path: Path) -> None:

@@ -199,3 +199,10 @@ def test_a_fit_far_from_the_start_value_reaches_the_guessed_bounds(model: Fmu) -
     y = model.simulate(Task(TIME, {"u": u}, OUTPUTS), {"R": 19.0, "C": 900.0, "G": 1.2})
     fitted = SeenRun(model, Task(TIME, {"u": u}, OUTPUTS), y, in_process).refitted(free)
     assert [fitted.at_bound(v) for v in free] == [False, True, False]
+
+
+def test_a_refit_keeps_the_values_of_parameters_that_are_not_free(model: Fmu) -> None:
+    u, values = command(), {"R": 19.0, "C": 900.0, "G": 1.2}
+    y = model.simulate(Task(TIME, {"u": u}, OUTPUTS), values)
+    run = SeenRun(model, Task(TIME, {"u": u}, OUTPUTS), y, in_process, values={**values, "R": 21.0})
+    assert run.refitted([model.variables["R"]]).left < 1e-6 * run.left

@@ -146,7 +146,7 @@ class SeenRun:
             if x.tobytes() not in tried:
                 values = {v.name: self._value(v) * np.exp(step) for v, step in zip(free, x, strict=True)}
                 try:
-                    tried[x.tobytes()] = self._at(values)
+                    tried[x.tobytes()] = self._at({**self._values, **values})
                 except SimulationError:
                     tried[x.tobytes()] = None
             return tried[x.tobytes()]

@@ -99,7 +99,9 @@ class LostRow:
         )
 
 
-def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tuple[Convention, ...]:
+def timing_conventions(
+    seen: Sequence[SeenRun], free: Sequence[Variable], known: Convention | None = None
+) -> tuple[Convention, ...]:
     """Judge the conventions that a model can be simulated with, the best supported first.
 
     Each run is refitted with every convention. A missing effect may look like inputs that act earlier, but hardly
@@ -116,10 +118,13 @@ def timing_conventions(seen: Sequence[SeenRun], free: Sequence[Variable]) -> tup
         The runs, with held inputs and outputs read before these act.
     free
         Parameters to refit.
+    known
+        Held signals that are read at a time from an earlier judgement, which is judged as well.
     """
     held = [one.refitted(free) for one in seen]
     conventions = [Convention("held")]
-    for convention in (Convention("linear"), *_read_at_once(held), *_read_later(held, free)):
+    later = {c.read_after: c for c in (known, *_read_later(held, free)) if c is not None and c.read_after}
+    for convention in (Convention("linear"), *_read_at_once(held), *later.values()):
         try:
             tried = [timed(one, convention) for one in seen]
             if all(np.array_equal(a.nominal, b.nominal) for a, b in zip(seen, tried, strict=True)):
@@ -178,32 +183,46 @@ def _band_limited(run: SeenRun) -> bool:
 
 
 def conventions_of(
-    cases: Sequence[tuple[Case, Mapping[str, float]]], names: Collection[str], runner: Runner
+    cases: Sequence[tuple[Case, Mapping[str, float]]],
+    names: Collection[str],
+    runner: Runner,
+    known: Convention | None = None,
 ) -> tuple[Convention, ...]:
     """Judge the conventions for cases of one model, as `timing_conventions` does for runs; only held if it cannot.
 
-    Cases in segments, with a sensor model, or of a recorder that writes a row after each step are not judged.
+    Start states of a run are fitted with every convention. Cases that restart along a run, with a sensor model, or
+    of a recorder that writes a row after each step are not judged.
 
     Parameters
     ----------
     cases
         Cases with the values of the model's variables from which the refits start.
     names
-        Names of the parameters to refit.
+        Names of the parameters to refit, those of laws among them.
+    known
+        See `timing_conventions`.
     """
     plain = [(c, values) for c, values in cases if not c.lead and all(ch.plain for ch in c.channels)]
-    plain = [(c, values) for c, values in plain if not isinstance(c.simulator, Segmented)][:_MOST_RUNS]
+    plain = [(c, v) for c, v in plain if not isinstance(c.simulator, Segmented) or c.simulator.length == np.inf]
+    plain = plain[:_MOST_RUNS]
     if not plain:
         return (Convention("held"),)
     seen = []
     for case, values in plain:
         measured = np.array([channel.mean for channel in case.channels])
         task = replace(case.task, interpolation="hold", linear=(), band_limited=(), after=(), read_after=0.0)
-        seen.append(SeenRun(case.simulator, task, measured, runner, values=values))
-    first = plain[0][0]
-    variables = {variable for n, (variable, _) in first.setting.items() if n in names}
-    free = [v for v in first.simulator.variables.values() if v.name in variables and v.start]
-    return timing_conventions(seen, free)
+        model = case.simulator
+        if isinstance(model, Segmented):  # the measurements may be without effects that the sensors show
+            model = Segmented(model.simulator, task, model.length, measured, model.weight, at=model.at)
+        seen.append(SeenRun(model, task, measured, runner, values=values))
+    first, values = plain[0]
+    named = {first.setting[n][0] if n in first.setting else n for n in names}  # laws have no setting
+    free = [
+        v if v.start else replace(v, start=values[v.name])
+        for v in first.simulator.variables.values()
+        if v.name in named and (v.start or values.get(v.name))
+    ]
+    return timing_conventions(seen, free, known)
 
 
 def chosen(conventions: Sequence[Convention]) -> Convention:
