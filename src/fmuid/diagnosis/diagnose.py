@@ -332,7 +332,7 @@ def diagnose_subject(
     )
     return Found(
         diagnosis,
-        subject,
+        tightened(subject, [corrected.fit.values]),  # what was merged or came last may need a tighter one
         nominal,
         explained,
         judgement.named,

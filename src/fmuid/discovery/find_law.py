@@ -419,7 +419,7 @@ class _Search:
         fit = replace(law.fitted.fit, unknowns=unknowns, values=renamed)
         fitted = replace(law.fitted, effects=(*law.beside, effect.id), fit=fit)
         subject = with_laws(self.outcome.subject, self.models, self.load, [effect], law.beside)
-        return Candidate(final, effect, subject, fitted)
+        return Candidate(final, effect, tightened(subject, [renamed]), fitted)
 
     def described(self, law: Candidate, seed: int) -> LawFound:
         """Return a law in words and numbers."""

@@ -484,6 +484,7 @@ class _Search:
         left_out = tuple({renamed.get(n, n): v for n, v in at_fold.items()} for at_fold in fitted.left_out)
         fitted = replace(fitted, effects=(*fitted.effects[:-1], effect.id), fit=fit, left_out=left_out)
         subject = with_laws(self.outcome.subject, self.models, self.load, [effect], fitted.effects[:-1])
+        subject = tightened(subject, [values])
         best = Closing(subject, self.outcome.nominal, self.null, self.outcome.scores).best(fitted)
         if of:
             best = replace(best, effects=best.effects[:-1], parameters=self._covering(best.parameters))
