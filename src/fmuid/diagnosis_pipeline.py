@@ -67,13 +67,16 @@ if TYPE_CHECKING:
     from fmuid.report.document import Drawing
 
 
-def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tuple[Campaign, str] | None:
+def with_timing_of_log(
+    campaign: Campaign, outcome: Found, runner: Runner, written: Campaign | None = None
+) -> tuple[Campaign, str] | None:
     """Return the campaign with the timing that explains what a diagnosis leaves or blames on signals, and a note.
 
     Blamed are lags and delays of less than a sample, and crosstalk of an input: one that acts otherwise between
     its samples looks like it, and it undoes a time of reading that a missing law imitates. More than noise may be
     left because the timing was judged without the laws of the answer. So timings are judged with its laws and its
-    other effects. None if the diagnosis has neither, or if no other timing explains it.
+    other effects. None if the diagnosis has neither, or if no other timing explains it. The note compares with the
+    timing that is `written` in the campaign, by default the one of this diagnosis.
     """
     setups, model = {}, outcome.subject.model
     left = outcome.diagnosis.verdict.kind != "complete" and outcome.corrected.gap > GAP_THAT_MATTERS
@@ -94,7 +97,7 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
             setups[setup] = convention
     if not setups:
         return None
-    models = dict(campaign.models)
+    models, written = dict(campaign.models), written or campaign
     for s, c in setups.items():
         models[s] = replace(models[s], timing=c.timing, read_after=c.read_after)
     timings = dict(campaign.timings)
@@ -102,7 +105,7 @@ def with_timing_of_log(campaign: Campaign, outcome: Found, runner: Runner) -> tu
         names_of = {campaign.models[setup].variable(n): n for e in campaign.measurements for n in e.outputs}
         timings |= {names_of.get(variable, variable): t for variable, t in convention.signals.items()}
     note = "; ".join(
-        f"'{setup}' was diagnosed with {c.entries} instead of \"{campaign.models[setup].timing}\", which explains"
+        f"'{setup}' was diagnosed with {c.entries} instead of \"{written.models[setup].timing}\", which explains"
         f" the runs {c.worse:.2g} times better than held signals; write it in campaign.toml"
         if c.explains
         else f"'{setup}' was diagnosed without read_after: laws explain what it did; remove it in campaign.toml"
@@ -228,15 +231,19 @@ def _looked_again(
     looks: Sequence[Callable[[Campaign, Found], tuple[Campaign, str] | None]],
     diagnosed: Callable[[Campaign], tuple[Campaign, Found]],
 ) -> tuple[Campaign, Found]:
-    """Return the campaign that explains the runs better without an effect, if there is one, and its diagnosis."""
-    for look in looks:
-        if (changed := look(campaign, outcome)) is not None:
-            changed_campaign, note = changed
-            campaign, outcome = diagnosed(changed_campaign)
-            outcome = replace(
-                outcome, diagnosis=replace(outcome.diagnosis, notes=(note, *outcome.diagnosis.notes))
-            )
-    return campaign, outcome
+    """Return the campaign that explains the runs better without an effect, if there is one, and its diagnosis.
+
+    What explains them is looked for again with the laws of each new answer.
+    """
+    notes: dict[int, str] = {}
+    for k, look in enumerate(looks):
+        for _ in range(_LOOKS):
+            if (changed := look(campaign, outcome)) is None:
+                break
+            campaign, notes[k] = changed
+            campaign, outcome = diagnosed(campaign)
+    diagnosis = replace(outcome.diagnosis, notes=(*notes.values(), *outcome.diagnosis.notes))
+    return campaign, replace(outcome, diagnosis=diagnosis)
 
 
 def _imitating_timing(outcome: Found, cases: Sequence[Case]) -> set[str]:
@@ -276,6 +283,7 @@ def _shown_but_for(outcome: Found, blamed: Collection[str]) -> list[tuple[Case, 
 FILE_NAME, JOURNAL = "diagnosis.json", "diagnosis.journal"
 _DIFFERS = 0.05  # standard deviations: far below what any measurement shows, far above errors of solvers
 _LITTLE = 0.05  # of the gap: an equation or a table for the rest would improve predictions by no more than that
+_LOOKS = 3  # diagnoses with other timings of the log: the laws of each answer tell the next one
 _MUCH_LESS = 0.65  # of the gap without the closest effect, that separate values for it have to leave
 _FAR = 2.0  # times a start value: what is known of a rig is seldom worse than that
 _AS_MODELLED = (
@@ -414,7 +422,7 @@ def diagnose(
             return changed, diagnose_subject(subject, seed=seed, calibration=curves)
 
         outcome = diagnose_subject(subject, say=say, seed=seed, calibration=curves)
-        timing = partial(with_timing_of_log, runner=runner)  # that of averaged samples is known
+        timing = partial(with_timing_of_log, runner=runner, written=campaign)  # that of averaged samples is known
         campaign, outcome = _looked_again(
             campaign,
             outcome,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +15,12 @@ from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
 from fmuid.diagnosis.extended_model import CampaignModel
-from fmuid.diagnosis_pipeline import _begin_as_modelled, with_starts_of_runs, with_timing_of_log
+from fmuid.diagnosis_pipeline import (
+    _begin_as_modelled,
+    _looked_again,
+    with_starts_of_runs,
+    with_timing_of_log,
+)
 from fmuid.identification.problem.cases import from_campaign
 from fmuid.identification.problem.segments import segmented
 from fmuid.simulation.fmu import load_fmu
@@ -151,6 +157,32 @@ def test_a_time_of_reading_that_a_delay_undoes_is_none(tmp_path: Path) -> None:
     campaign, note = retimed(tmp_path, {"x.delay": 0.4}, '"held"\nread_after = 0.4')
     assert (campaign.models["bench"].timing, campaign.models["bench"].read_after) == ("held", 0.0)
     assert note == "'bench' was diagnosed without read_after: laws explain what it did; remove it in campaign.toml"
+
+
+def test_each_look_at_the_log_is_repeated_with_the_new_answer_and_keeps_its_last_note():
+    """A campaign is a number here, and its diagnosis has it as the only note."""
+
+    @dataclass(frozen=True)
+    class Noted:
+        notes: tuple[str, ...]
+
+    @dataclass(frozen=True)
+    class Outcome:
+        diagnosis: Noted
+
+    def diagnosed(campaign):
+        return campaign, Outcome(Noted((f"{campaign}",)))
+
+    def to_two(campaign, outcome):
+        assert outcome.diagnosis.notes == (f"{campaign}",)
+        return (campaign + 1, f"timing {campaign + 1}") if campaign < 2 else None
+
+    def for_ever(campaign, _):
+        return campaign + 10, f"starts {campaign + 10}"
+
+    campaign, outcome = _looked_again(*diagnosed(0), (to_two, for_ever), diagnosed)
+    assert campaign == 32
+    assert outcome.diagnosis.notes == ("timing 2", "starts 32", "32")
 
 
 def test_start_states_are_not_tried_through_sensors_with_a_model():
