@@ -119,10 +119,11 @@ def with_starts_of_runs(
 ) -> tuple[Campaign, str] | None:
     """Return the campaign with start states that are estimated for each run, and a note.
 
-    None unless these are likelier than the best explanation, or improve it, and explain as much as a second effect
-    has to. An explanation that holds beyond doubt, or is as exact as it has to be, stays. One that is named has to
-    become likelier: start states take up whatever the shape of a law leaves. A log that begins in motion may
-    start at the model's outputs and depart from them in what follows, unless every state is measured.
+    None unless these are likelier than the best explanation, or improve an answer that is left open, and
+    explain as much as a second effect has to. An explanation that holds beyond doubt, or is as exact as it has
+    to be, stays. One that is named has to become likelier: start states take up whatever the shape of a law
+    leaves. A log that begins in motion may start at the model's outputs and depart from them in what follows,
+    unless every state is measured.
     """
     verdict, explained, nominal = outcome.diagnosis.verdict, outcome.corrected, outcome.nominal
     sure = verdict.kind in ("effect", "ambiguous") and not verdict.provisional
@@ -144,7 +145,8 @@ def with_starts_of_runs(
     observed = subject.observed
     if not observed.nuisances or _begin_as_modelled(outcome, subject):
         return None  # a model that cannot be restarted, or has no reason to
-    for base in (nominal,) if sure or not explained.effects else (nominal, explained):
+    others = () if sure else outcome.surviving or ((explained,) if explained.effects else ())
+    for base in (nominal, *others):
         fit = refit_only(subject, [subject.by_id[id] for id in base.effects], [base.fit.values])
         if fit is None:
             continue

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fmu_build import build
+from fmuid import diagnosis_pipeline
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
 from fmuid.data.measurements import write_measurements
@@ -199,6 +200,51 @@ def test_start_states_are_not_tried_through_sensors_with_a_model():
     )
     campaign = SimpleNamespace(stages={"all": SimpleNamespace(segments=0.5, observer=None)})
     assert with_starts_of_runs(campaign, outcome, None) is None
+
+
+@dataclass(frozen=True)
+class Stage:
+    segments: float | None = None
+    observer: None = None
+
+
+@dataclass(frozen=True)
+class Staged:
+    stages: dict[str, Stage]
+
+
+@pytest.mark.parametrize(("gains", "noted"), [("offset@u", " with offset@u,"), ("none", None)])
+def test_start_states_are_tried_beside_every_answer_that_is_open(gains, noted, monkeypatch):
+    def fitted(*effects):
+        return SimpleNamespace(effects=effects, gap=4.0, fit=SimpleNamespace(values={}, residuals=effects))
+
+    nominal, first, second = fitted(), fitted("asymmetry@w"), fitted("offset@u")
+    observed = SimpleNamespace(nuisances=("w",), runs=())
+    freed = SimpleNamespace(observed=observed, by_id={"asymmetry@w": "asymmetry@w", "offset@u": "offset@u"})
+    outcome = SimpleNamespace(
+        corrected=first,
+        nominal=nominal,
+        surviving=(first, second),
+        diagnosis=SimpleNamespace(
+            verdict=SimpleNamespace(kind="ambiguous", provisional=True), gap=SimpleNamespace(present=True)
+        ),
+        subject=SimpleNamespace(
+            observed=SimpleNamespace(nuisances=()), model=SimpleNamespace(cases=[SimpleNamespace(channels=())])
+        ),
+    )
+    replaced = {
+        "holds": lambda *_: False,
+        "exact_enough": lambda *_: False,
+        "_begin_as_modelled": lambda *_: False,
+        "_started": lambda *_: freed,
+        "refit_only": lambda _, effects, starts: SimpleNamespace(residuals=tuple(effects)),
+        "gap": lambda effects, _: 1.0 if gains in effects else 4.0,
+        "odds_of_starts": lambda fit, *_: 5.0 if gains in fit.residuals else -5.0,
+    }
+    for name, function in replaced.items():
+        monkeypatch.setattr(diagnosis_pipeline, name, function)
+    changed = with_starts_of_runs(Staged({"all": Stage()}), outcome, lambda _: freed)
+    assert changed is None if noted is None else noted in changed[1]
 
 
 @pytest.mark.parametrize(
