@@ -157,6 +157,8 @@ def _effect() -> Effect:
     return Effect("law@b", "a law", "b", (), {}, (), "nowhere")
 
 
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="no law is sought beside ambiguous answers: it doubles their time")
 def test_a_loss_that_grows_from_run_to_run_is_a_law_of_time(tmp_path):
     rng, paths = np.random.default_rng(1), []
     for day in range(4):

@@ -108,8 +108,8 @@ def find_law(
         Seed of the null distribution and the bootstrap.
     """
     verdict, subject = outcome.diagnosis.verdict, outcome.subject
-    named_whole = verdict.kind in ("effect", "ambiguous")
-    if verdict.kind not in ("unknown", "partial") and not (named_whole and verdict.rest is not None):
+    effect = verdict.kind == "effect"
+    if verdict.kind not in ("unknown", "partial") and not (effect and verdict.rest is not None):
         return None
     insides = insides_of(subject, models)
     if insides is None:
@@ -125,7 +125,7 @@ def find_law(
         search = _Search(outcome, base, models, load, insides, noise, seed)
         try:
             best, reason = search.best(say)
-            if named_whole and best is not None and not decide.worth_adding(named[0], best.fitted):
+            if effect and best is not None and not decide.worth_adding(named[0], best.fitted):
                 reason = reason or "no law explains the gap much better than the effects of the verdict"
             if best is not None and not reason:
                 best = search.named(replace(best, fitted=pruned(best.subject, best.fitted)))
