@@ -86,8 +86,8 @@ def with_timing_of_log(
         if not blamed and not left:
             continue
         cases = [(c, v) for c, v in _shown_but_for(outcome, blamed) if c.setup == setup]
-        model_of_log = campaign.models[setup]
-        known = Convention(model_of_log.timing, read_after=model_of_log.read_after)
+        spec = campaign.models[setup]
+        known = Convention(spec.timing, read_after=spec.read_after)
         conventions = conventions_of(cases, names, runner, known)
         convention = chosen(conventions)
         now = [c for c in conventions if (c.timing, c.read_after) == (known.timing, known.read_after)]
