@@ -52,6 +52,7 @@ from fmuid.diagnosis.verdict import (
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.discovery.learned_table import Tabulated, tabulate
+from fmuid.effects.laws import THRESHOLD
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import Result
@@ -538,6 +539,7 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     catalogue = outcome.subject.catalogue
     described = {e.id: e.description for e in outcome.subject.effects}
     described |= {id: str(course) for id, course in outcome.courses.items()}
+    described |= _thresholds(outcome)
     units = {name: regime.unit for name, regime in catalogue.regimes.items()} | {"time": "s"}
     answer = outcome.diagnosis.to_dict()
     for effect in answer["effects"]:
@@ -564,6 +566,18 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
     if outcome.subject.observed.bounded:
         answer["notes"].append(_BOUNDED)
     return answer
+
+
+def _thresholds(outcome: Found) -> dict[str, str]:
+    """Return the named laws that act beyond a threshold, by effect, described with its value."""
+    return {
+        effect.id: effect.description.replace(THRESHOLD, f"beyond {fitted.fit.values[name]:.3g} {unit}")
+        for fitted in reversed(outcome.surviving)
+        for effect in outcome.subject.effects
+        if effect.id in fitted.effects and THRESHOLD in effect.description
+        for name, unit in effect.units.items()
+        if name.endswith("_threshold")
+    }
 
 
 def _errors(outcome: Found) -> dict[str, float | None]:

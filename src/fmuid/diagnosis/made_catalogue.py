@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,10 @@ from fmuid.diagnosis.variants import (
     state_places,
     with_laws,
 )
-from fmuid.diagnosis.varying import varying_lines
+from fmuid.diagnosis.varying import LawThere, laws_beyond, linearised, varying_lines
 from fmuid.effects.effects_file import load_catalogue
-from fmuid.effects.flat_expressions import courses_at, largest_flow, names_at
-from fmuid.effects.laws import SHARES, SIZES, Place, effect_lines, fitting, inline
+from fmuid.effects.flat_expressions import names_at, seen_at
+from fmuid.effects.laws import SHARES, SIZES, Law, Place, effect_lines, fitting, inline
 from fmuid.effects.quantities import quantity_words
 from fmuid.identification.problem.cases import experiments_of
 from fmuid.identification.problem.segments import in_segments
@@ -59,7 +60,12 @@ _HEAD = f"""\
 """
 
 
-def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: str) -> str:
+def catalogue_text(
+    places: Sequence[Place],
+    held: Mapping[str, Held],
+    signals: str,
+    beyond: Mapping[str, Law] = MappingProxyType({}),
+) -> str:
     """Return the text of a catalogue.
 
     Parameters
@@ -70,6 +76,8 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: s
         Held parameters, by name.
     signals
         The catalogue of the campaign's signals, or only its head.
+    beyond
+        By effect, the laws that act beyond a threshold only.
     """
     lines: list[str] = []
     for place in places:
@@ -78,7 +86,7 @@ def catalogue_text(places: Sequence[Place], held: Mapping[str, Held], signals: s
             continue
         lines += _port_lines(place)
         for name, law in laws:
-            lines += effect_lines(name, law, place)
+            lines += effect_lines(name, beyond.get(f"{name}@{place.port.name}", law), place)
     for name, parameter in held.items():
         lines += _held_lines(name, parameter)
     _, _, rest = signals.partition("format = ")
@@ -172,7 +180,7 @@ def sized(
     by_name = {port.name: port for port in ports}
     places_with_sizes = []
     for port in by_name.values():
-        seen = [one for t, course in zip(time, courses, strict=True) if (one := _seen_at(port, course, t))]
+        seen = [one for t, course in zip(time, courses, strict=True) if (one := seen_at(port, course, t))]
         if not seen:
             continue
         p = [one.p for one in seen if one.p is not None]
@@ -195,39 +203,6 @@ def sized(
         if ("P" in own_sizes or "V" in own_sizes) and (port.kind == "signal" or "F" in own_sizes):
             places_with_sizes.append(Place(port, own_sizes))
     return places_with_sizes
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """Potential and rate at a port in a run, the largest flow, and the largest drop around a loop."""
-
-    time: FloatArray
-    p: FloatArray | None
-    rate: FloatArray
-    flow: float
-    drop: float = 0.0
-
-
-def _seen_at(port: Port, course: Mapping[str, FloatArray], t: FloatArray) -> _Seen | None:
-    """Return the variables of a port in a run; None if the model has none of them there."""
-    if port.shares:
-        here, size = courses_at(port, course, t), largest_flow(port, course, t)
-        if port.kind == "loop" and (through := here.get("through")) is not None:
-            return _Seen(t, None, np.gradient(through, t), float(np.abs(through).max()), size)
-        p = here.get("p")
-        rate = here.get("rate", None if p is None else np.gradient(p, t))
-        return None if rate is None else _Seen(t, p, rate, size)
-    potentials = [course[n] for n in port.probes["p"] if n in course]
-    if len(potentials) != len(port.probes["p"]):
-        return None
-    p = potentials[1] - potentials[0] if port.kind == "branch" else potentials[0]
-    flow = max((float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course), default=0.0)
-    if port.coil and (through := course.get(port.probes["flow"][0])) is not None:
-        return _Seen(t, p, np.gradient(through, t), flow)
-    speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
-    if not speeds or len(speeds) != len(port.probes["rate"]):
-        return _Seen(t, p, np.gradient(p, t), flow)
-    return _Seen(t, p, speeds[1] - speeds[0] if port.kind == "branch" else speeds[0], flow)
 
 
 def _turns(
@@ -420,9 +395,9 @@ def _made(
             parts += _at_ports(setups[name].flat, simulated, at)
         elif name in states:
             parts += _at_states(states[name], simulated, at)
-    text = catalogue_text(_merged(parts), held, signals)
+    places = _merged(parts)
     if fit is None:
-        return text, {}
+        return catalogue_text(places, held, signals), {}
 
     def costs(lines: Sequence[str]) -> dict[str, float]:
         alone = "\n".join([catalogue_text([], {}, HEAD), *lines])
@@ -431,9 +406,19 @@ def _made(
         return costs_with(subject_of(built, load, runner=runner), fit)
 
     varying: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **states}
+    linear = linearised(subject, fit, varying, places)
+    beyond = laws_beyond(subject, fit, linear, places, costs=lambda laws: costs(_lines_there(laws)))
+    text = catalogue_text(places, held, signals, beyond)
     known = tomllib.loads(text)["ports"]
-    lines = varying_lines(subject, fit, campaign, varying, known, costs=costs)
+    lines = varying_lines(subject, fit, campaign, linear, known, costs=costs)
     return "\n".join([text, *lines]), fit.values
+
+
+def _lines_there(laws: Sequence[LawThere]) -> list[str]:
+    """Return the entries of a catalogue for laws at places, and of these."""
+    at = {law.place.port.name: law.place for law in laws}
+    lines = [line for place in at.values() for line in _port_lines(place)]
+    return lines + [line for law in laws for line in effect_lines(law.name, law.law, law.place)]
 
 
 def _parameters(setup: _Setup | None, simulator: Simulator) -> dict[str, str]:

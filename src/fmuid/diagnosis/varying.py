@@ -1,9 +1,10 @@
-"""Coefficients that vary: which parameters depend on what, judged before a model with them is built.
+"""Coefficients that vary, and laws that act beyond a threshold, judged before a model with them is built.
 
 Every parameter may depend on variables near it, on measured outputs, on logged columns that the model does not
 use, on time, or on the component's own warming. The response to each dependence follows from one linearisation of
 the model along its runs (`linear_response`). Those that explain more of the residual than noise would become
-effects.
+effects. Laws at places are compared by the responses to the flows that they would cause, at all times or beyond a
+threshold only.
 """
 
 from __future__ import annotations
@@ -17,9 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_build import compile_flat
+from fmu_build.domains import MECHANICAL
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
-from fmu_build.model_ports import Coefficient, across_branches, coefficients, in_products_with, parameter_port
+from fmu_build.model_ports import (
+    Coefficient,
+    Port,
+    across_branches,
+    coefficients,
+    in_products_with,
+    parameter_port,
+)
+from fmu_build.model_ports import places as find_places
 from fmuid.core.campaign import Campaign
 from fmuid.core.errors import SimulationError
 from fmuid.core.formulas import parse, parse_modelica
@@ -28,14 +38,15 @@ from fmuid.core.toml_tables import toml_text
 from fmuid.data.filtering import first_order
 from fmuid.data.noise.level import GAP_THAT_MATTERS
 from fmuid.diagnosis.cross_validation import draw_noise
-from fmuid.diagnosis.observed import gap, project_off
+from fmuid.diagnosis.observed import gap, orthonormal, project_off
 from fmuid.diagnosis.refit import Refit
 from fmuid.diagnosis.scores import SEEN, nominal_basis, stack
 from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
 from fmuid.diagnosis.verdict import Refinement
 from fmuid.effects.effect import Effect
-from fmuid.effects.laws import Dependence, Law, Place, effect_lines, laws, varying_id
+from fmuid.effects.flat_expressions import names_at, seen_at
+from fmuid.effects.laws import Dependence, Law, Place, effect_lines, fitting, laws, names_in, varying_id
 from fmuid.identification.problem.cases import LOGGED, RUN_TIME, logged
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearResponse
@@ -57,6 +68,7 @@ _PART = 0.125  # first steps of that search, as a share of what is possible
 _INSIDE = 0.01  # share of what is possible that the search stays away from a bound
 _SHARES = (0.1, 0.25, 0.5, 1.0, 2.0)  # of a size that fits a small response: where the search for it begins
 _LEAST = 0.02  # of its value: a coefficient that comes nearer to vanishing acts as one of that size
+_THRESHOLDS = tuple(0.1 * k for k in range(1, 10))  # of the range of what a law depends on
 _STRAIGHT = 0.02  # of its change: a course that is this near to its chord is a line
 
 
@@ -159,7 +171,7 @@ class Scored:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Setup:
+class Setup:
     """A setup's model, linearised along its runs.
 
     `across` are the branches of differences (`across_branches`), `places` the numbers of the coefficients in the
@@ -205,12 +217,12 @@ def varying_lines(
     subject: Subject,
     nominal: Refit,
     campaign: Campaign,
-    models: Mapping[str, FlatModel | Fmu],
+    setups: Sequence[Setup],
     known: Mapping[str, object],
     *,
     costs: Callable[[Sequence[str]], Mapping[str, float]],
 ) -> list[str]:
-    """Return the entries of a catalogue for the coefficients that seem to vary; none if there is no gap.
+    """Return the entries of a catalogue for the coefficients that seem to vary; none if there is no setup.
 
     Laws of one coefficient that the responses to small changes do not tell apart are refitted.
 
@@ -220,16 +232,14 @@ def varying_lines(
         The plain models with their measurements.
     nominal
         The plain models refitted.
-    models
-        The flat models of setups that have a source, and the FMUs of others that offer model exchange.
+    setups
+        The models, linearised.
     known
         Names of the places that the catalogue already has.
     costs
         Entries of a catalogue -> the cost that a refit with each effect leaves, by id.
     """
-    if gap(nominal.residuals, subject.observed) <= GAP_THAT_MATTERS:
-        return []
-    groups, among = scored(subject, campaign, models, nominal)
+    groups, among = scored(subject, campaign, setups, nominal)
     several = [one for group in groups if len(group) > 1 for one in group]
     if several:
         left = costs(_lines(subject, several, among, {}, apart=True))
@@ -281,16 +291,15 @@ def _from(one: Scored) -> Law:
 
 
 def scored(
-    subject: Subject, campaign: Campaign, models: Mapping[str, FlatModel | Fmu], nominal: Refit
+    subject: Subject, campaign: Campaign, setups: Sequence[Setup], nominal: Refit
 ) -> tuple[list[list[Scored]], int]:
     """Return the dependences that explain more of the residual than noise would, best first.
 
     Each has one law, or several that refits have to choose from. Also return how many laws were compared.
     """
-    setups = [s for name, model in models.items() if (s := _setup(subject, name, model, nominal)) is not None]
     observed = subject.observed
     basis, residual = nominal_basis(nominal, observed), stack(nominal.residuals, observed)
-    pairs: list[tuple[list[_Setup], list[Scored]]] = []
+    pairs: list[tuple[list[Setup], list[Scored]]] = []
     among = 0
     for name in dict.fromkeys(name for setup in setups for name in setup.coefficients):
         having = [setup for setup in setups if name in setup.coefficients]
@@ -318,7 +327,29 @@ def scored(
     return [group for group in groups if _largest(group) >= least][:_MOST], among
 
 
-def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) -> _Setup | None:
+def linearised(
+    subject: Subject, nominal: Refit, models: Mapping[str, FlatModel | Fmu], places: Sequence[Place]
+) -> list[Setup]:
+    """Return the setups linearised at the refitted parameters; none if there is no gap.
+
+    Parameters
+    ----------
+    nominal
+        The plain models refitted.
+    models
+        The flat models of setups that have a source, and the FMUs of others that offer model exchange.
+    places
+        Where laws may act in models with source.
+    """
+    if gap(nominal.residuals, subject.observed) <= GAP_THAT_MATTERS:
+        return []
+    every = (_setup(subject, name, model, nominal, places) for name, model in models.items())
+    return [setup for setup in every if setup is not None]
+
+
+def _setup(
+    subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit, places: Sequence[Place]
+) -> Setup | None:
     """Return a setup linearised at the refitted parameters; None if no run or no coefficient is there."""
     index = [k for k, case in enumerate(subject.model.cases) if case.setup == name]
     by_name = _without_source(model) if isinstance(model, Fmu) else {c.name: c for c in coefficients(model)}
@@ -335,11 +366,15 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
             {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in by_name.items()},
         )
         terms = [Term(n, "parameter", f"p*{factor}") for n, factor in factors.items() if factor != n]
+        at = [place.port for place in places if place.port.name in find_places(flat)]
+        factors |= {_flow(port): f"{port.name}.flow_factor" for port in at}
+        terms += [Term(port.name, "flow", f"{factors[_flow(port)]} - 1") for port in at]
         split = instrument(flat, terms, [Added(factor, 1.0) for n, factor in factors.items() if factor != n])
         linear = Linearised(compile_flat(split), [*factors.values()])
         near = (v for c in by_name.values() for v in (*c.variables, *_ends(model, c)))
-        wanted = dict.fromkeys([*linear.needed, *near])
-    places = {n: linear.parameters.index(factor) for n, factor in factors.items() if factor in linear.parameters}
+        probes = (v for port in at for v in (*names_at(port), *(n for of in port.probes.values() for n in of)))
+        wanted = dict.fromkeys([*linear.needed, *near, *probes])
+    where = {n: linear.parameters.index(factor) for n, factor in factors.items() if factor in linear.parameters}
     cases = [subject.model.cases[k] for k in index]
     wanted |= dict.fromkeys(c.variable for case in cases for c in case.channels)
     names = [n for n in wanted if all(n in case.simulator.variables for case in cases)]
@@ -350,10 +385,16 @@ def _setup(subject: Subject, name: str, model: FlatModel | Fmu, nominal: Refit) 
         courses.append(dict(zip(names, row, strict=True)) | driven)
         values = {**case.task.start_values, **subject.model.start_values(case, known)}
         responses.append(linear.along(case.time, courses[-1], values, case.task.outputs))
-    shared = _of_one_flow(places, responses)
-    places = {n: k for n, k in places.items() if n not in shared}
+    shared = _of_one_flow(where, responses)
+    where = {n: k for n, k in where.items() if n not in shared}
     across = {} if flat is None else across_branches(flat)
-    return _Setup(flat, across, linear, {n: by_name[n] for n in places}, places, index, courses, responses, known)
+    having = {n: by_name[n] for n in where if n in by_name}
+    return Setup(flat, across, linear, having, where, index, courses, responses, known)
+
+
+def _flow(port: Port) -> str:
+    """Return the name of a flow at a port among the coefficients."""
+    return f"flow@{port.name}"
 
 
 def _of_one_flow(places: Mapping[str, int], responses: Sequence[LinearResponse]) -> set[str]:
@@ -396,7 +437,7 @@ def _measured(subject: Subject) -> dict[str, str]:
     return {c.signal: c.variable for case in subject.model.cases for c in case.channels}
 
 
-def _sources(subject: Subject, campaign: Campaign, having: Sequence[_Setup], name: str) -> list[Source]:
+def _sources(subject: Subject, campaign: Campaign, having: Sequence[Setup], name: str) -> list[Source]:
     """Return the quantities that a coefficient may depend on; of several that are the same, only the first."""
     cases = [(subject.model.cases[k], c) for s in having for k, c in zip(s.index, s.courses, strict=True)]
     sources: list[Source] = []
@@ -467,7 +508,7 @@ def _around(flat: FlatModel, c: Coefficient) -> set[str]:
 
 def _of(
     subject: Subject,
-    having: Sequence[_Setup],
+    having: Sequence[Setup],
     source: Source,
     name: str,
     *,
@@ -482,7 +523,7 @@ def _of(
 
 def _at(
     subject: Subject,
-    having: Sequence[_Setup],
+    having: Sequence[Setup],
     source: Source,
     name: str,
     tried: Sequence[tuple[str, Mapping[str, float]]],
@@ -545,7 +586,7 @@ def _largest(scored: Sequence[Scored]) -> float:
 
 
 def _shaped(
-    subject: Subject, having: Sequence[_Setup], every: Sequence[Scored], *, basis: FloatArray, residual: FloatArray
+    subject: Subject, having: Sequence[Setup], every: Sequence[Scored], *, basis: FloatArray, residual: FloatArray
 ) -> list[Scored]:
     """Return laws over one source at the shapes that explain most; else trials would be compared instead of laws.
 
@@ -701,7 +742,7 @@ def _evaluated(text: str, columns: Mapping[str, FloatArray], shape: tuple[int, i
     return np.broadcast_to(expression.of_samples({n: columns[n] for n in expression.names}), shape)
 
 
-def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Sequence[FloatArray]) -> FloatArray:
+def _moved(subject: Subject, having: Sequence[Setup], name: str, courses: Sequence[FloatArray]) -> FloatArray:
     """Return (R, M) changes of the whitened residual by R courses of a coefficient, given for each run."""
     observed = subject.observed
     count = len(courses[0])
@@ -719,6 +760,143 @@ def _moved(subject: Subject, having: Sequence[_Setup], name: str, courses: Seque
                 whitened = project_off(whitened.T, observed.nuisances[k]).T
             parts[k] = np.sqrt(observed.repeats[k]) * whitened
     return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawThere:
+    """A law at a place, with the fall of the cost that its response promises where the model is.
+
+    Of one that acts `beyond` a threshold only, that is its law without one.
+    """
+
+    name: str
+    law: Law
+    place: Place
+    drop: float
+    signature: FloatArray
+    beyond: str = ""
+
+    @property
+    def id(self) -> str:
+        """Id of the effect."""
+        return f"{self.name}@{self.place.port.name}"
+
+
+def laws_beyond(
+    subject: Subject,
+    nominal: Refit,
+    setups: Sequence[Setup],
+    places: Sequence[Place],
+    *,
+    costs: Callable[[Sequence[LawThere]], Mapping[str, float]],
+) -> dict[str, Law]:
+    """Return the laws that explain more where they act beyond a threshold only, by effect.
+
+    With a threshold, they have to explain relevantly more than any law without one, and more than noise would: as
+    their responses promise where the model is, and then in refits.
+
+    Parameters
+    ----------
+    costs
+        Laws -> the cost that a refit with each leaves, by id.
+    """
+    observed = subject.observed
+    basis, residual = nominal_basis(nominal, observed), stack(nominal.residuals, observed)
+    every = [law for place in places for law in _laws_at(subject, setups, place, basis=basis, residual=residual)]
+    always = sorted((one for one in every if not one.beyond), key=lambda one: -one.drop)[:_EACH]
+    most = max((one.drop for one in always), default=0.0)
+    least = most + _relevant(max(float(residual @ residual) - residual.size - most, 0.0))
+    beyond = sorted((one for one in every if one.beyond and one.drop > least), key=lambda one: -one.drop)[:_EACH]
+    if not beyond:
+        return {}
+    (prediction,) = subject.model.predict([nominal.values])
+    assert not isinstance(prediction, SimulationError)
+    null = draw_noise(observed, prediction).null(basis, [one.signature for one in beyond])
+    beyond = [one for one in beyond if one.drop >= _MARGIN * null.threshold()]
+    if not beyond:
+        return {}
+    left = {name: max(cost - residual.size, 0.0) for name, cost in costs([*always, *beyond]).items()}
+    without = min((left[one.id] for one in always), default=np.inf)
+    return {
+        f"{one.beyond}@{one.place.port.name}": one.law
+        for one in beyond
+        if without - left[one.id] > _relevant(without)
+    }
+
+
+def _laws_at(
+    subject: Subject, setups: Sequence[Setup], place: Place, *, basis: FloatArray, residual: FloatArray
+) -> Iterator[LawThere]:
+    """Yield the flows without states that laws cause at a place, each also beyond the best of some thresholds."""
+    port = place.port
+    having = [setup for setup in setups if _flow(port) in setup.places]
+    times, columns = _seen(subject, having, port)
+    if not columns:
+        return
+
+    def explained(flows: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return signatures of unit length, and how far the residual follows the flows."""
+        moved = _moved(subject, having, _flow(port), np.split(np.array(flows), _ends_of(times), axis=1))
+        signatures = project_off(moved.T, basis).T
+        lengths, wholes = (np.linalg.norm(m, axis=1, keepdims=True) for m in (signatures, moved))
+        signatures = signatures / np.where(lengths > 1e-3 * wholes, lengths, np.inf)
+        return signatures, -(signatures @ residual)
+
+    of, unit = ("abs(rate)", f"{port.units[0]}/s") if port.domain in MECHANICAL else ("p", port.units[0])
+    for name, law in fitting(place):
+        text, starts = law.of(port.domain), _started(law, place)
+        if law.acts != "flow" or law.states or not names_in(text) <= {*columns, *starts}:
+            continue
+        sizes = _sizes(law)
+        signatures, amounts = explained([_flows(text, columns, starts | size) for size in sizes])
+        shown = orthonormal(signatures.T).T @ residual
+        drop = float(shown @ shown) if law.two_sided or amounts.max() > 0.0 else 0.0
+        yield LawThere(name, law, place, drop, signatures[0])
+        if len(sizes) > 1 or not names_in(of) <= columns.keys():
+            continue
+        x = _flows(of, columns, {})
+        low, high = float(x.min()), float(x.max())
+        gated = [law.beyond(of, low, high, low + share * (high - low), unit) for share in _THRESHOLDS]
+        flows = [_flows(one.of(port.domain), columns, _started(one, place) | sizes[0]) for one in gated]
+        signatures, amounts = explained(flows)
+        drops = np.where((amounts > 0.0) | law.two_sided, amounts**2, 0.0)
+        k = int(np.argmax(drops))
+        yield LawThere(f"{name}_beyond", gated[k], place, float(drops[k]), signatures[k], beyond=name)
+
+
+def _seen(subject: Subject, having: Sequence[Setup], port: Port) -> tuple[list[FloatArray], dict[str, FloatArray]]:
+    """Return the times of all runs, and the quantities at a port in them, joined; none if a run lacks them."""
+    cases = [(subject.model.cases[k], c) for s in having for k, c in zip(s.index, s.courses, strict=True)]
+    every = [seen_at(port, course, case.time) for case, course in cases]
+    seen = [one for one in every if one is not None]
+    if not seen or len(seen) < len(every):
+        return [], {}
+    columns = {
+        "time": [one.time for one in seen],
+        "rate": [one.rate for one in seen],
+        "acceleration": [np.gradient(one.rate, one.time) for one in seen],
+        "p": [one.p for one in seen if one.p is not None],
+    }
+    return columns["time"], {n: np.concatenate(parts) for n, parts in columns.items() if len(parts) == len(seen)}
+
+
+def _sizes(law: Law) -> list[dict[str, float]]:
+    """Return each size of a law alone, at 1."""
+    sizes = [key for key, p in law.parameters.items() if p.off is not None]
+    return [{key: float(key == one) for key in sizes} for one in sizes]
+
+
+def _started(law: Law, place: Place) -> dict[str, float]:
+    """Return the sizes of a place, and a law's parameters where they start."""
+    starts = {key: parse(p.start or p.off or "0")(place.sizes) for key, p in law.parameters.items()}
+    return {**place.sizes, **starts}
+
+
+def _flows(text: str, columns: Mapping[str, FloatArray], values: Mapping[str, float]) -> FloatArray:
+    """Return an expression over all samples."""
+    known = {**columns, **{name: np.full(1, value) for name, value in values.items()}}
+    course: FloatArray = _evaluated(text, known, (1, len(columns["time"])))[0]
+    return course
 
 
 @dataclass(frozen=True, slots=True, eq=False)

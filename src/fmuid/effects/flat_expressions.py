@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,39 @@ def largest_flow(port: Port, courses: Mapping[str, FloatArray], time: FloatArray
     """Return the largest absolute value of a summand of a port without connectors."""
     flows = (values_of(term, courses, time) for term in port.terms)
     return max((float(np.abs(course).max()) for course in flows if course is not None), default=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Potential and rate at a port in a run, the largest flow, and the largest drop around a loop."""
+
+    time: FloatArray
+    p: FloatArray | None
+    rate: FloatArray
+    flow: float
+    drop: float = 0.0
+
+
+def seen_at(port: Port, course: Mapping[str, FloatArray], t: FloatArray) -> Seen | None:
+    """Return the variables of a port in a run; None if the model has none of them there."""
+    if port.shares:
+        here, size = courses_at(port, course, t), largest_flow(port, course, t)
+        if port.kind == "loop" and (through := here.get("through")) is not None:
+            return Seen(t, None, np.gradient(through, t), float(np.abs(through).max()), size)
+        p = here.get("p")
+        rate = here.get("rate", None if p is None else np.gradient(p, t))
+        return None if rate is None else Seen(t, p, rate, size)
+    potentials = [course[n] for n in port.probes["p"] if n in course]
+    if len(potentials) != len(port.probes["p"]):
+        return None
+    p = potentials[1] - potentials[0] if port.kind == "branch" else potentials[0]
+    flow = max((float(np.abs(course[n]).max()) for n in port.probes.get("flow", ()) if n in course), default=0.0)
+    if port.coil and (through := course.get(port.probes["flow"][0])) is not None:
+        return Seen(t, p, np.gradient(through, t), flow)
+    speeds = [course[n] for n in port.probes.get("rate", ()) if n in course]
+    if not speeds or len(speeds) != len(port.probes["rate"]):
+        return Seen(t, p, np.gradient(p, t), flow)
+    return Seen(t, p, speeds[1] - speeds[0] if port.kind == "branch" else speeds[0], flow)
 
 
 def values_of(e: Expression, courses: Mapping[str, FloatArray], time: FloatArray) -> FloatArray | None:

@@ -18,6 +18,8 @@ from fmuid.core.toml_tables import Table, convert, toml_text
 
 SIZES = "PMZVAFTLWN"
 SHARES = (0.01, 0.05, 0.2)  # sizes at which a law is tried, as shares of the nominal flow
+THRESHOLD = "beyond a threshold"
+SHARPEST = 0.005  # of the range of what a law depends on: how soon it acts beyond a threshold, at least
 
 
 class LawParameter(Table):
@@ -109,6 +111,35 @@ class Law(Table):
         parameters = {key: p for key, p in self.parameters.items() if key in used}
         trials = [{k: v for k, v in trial.items() if k in used} for trial in self.trials or ()] or None
         return msgspec.structs.replace(self, flow="", parameters=parameters, trials=trials)
+
+    def beyond(self, of: str, least: float, most: float, threshold: float, unit: str) -> Law:
+        """Return the law where what it depends on, `of`, is beyond a threshold, and no effect below it.
+
+        Parameters
+        ----------
+        of
+            In Modelica. It is between `least` and `most` in runs of a model without the law, which may move less.
+        threshold
+            Where the search for it begins.
+        """
+        width = most - least
+        text = self.expression
+        by_domain = {"": text} if isinstance(text, str) else text
+        shaped = {d: f"({e})*(0.5 + 0.5*tanh(({of} - threshold)/transition))" for d, e in by_domain.items()}
+        shape = {
+            "threshold": LawParameter(
+                repr(least - 0.5 * width), repr(most + 0.5 * width), start=repr(threshold), natural=True, unit=unit
+            ),
+            "transition": LawParameter(
+                repr(SHARPEST * width), repr(width), start=repr(8.0 * SHARPEST * width), natural=True, unit=unit
+            ),
+        }
+        return msgspec.structs.replace(
+            self,
+            words=f"{self.words} {THRESHOLD}",
+            expression=shaped[""] if isinstance(text, str) else shaped,
+            parameters={**self.parameters, **shape},
+        )
 
     def may_be_sized(self, sizes: Collection[str]) -> bool:
         """Return whether these sizes are all that the law's numbers depend on."""
