@@ -602,7 +602,7 @@ JOINT = Effect("law", "", "spring", (), {}, (), law="elasticity", acts="cut", ex
 def test_a_coefficient_that_varies_with_its_own_variable_is_the_law_of_that_unless_runs_tell_them_apart(
     law, within, apart, one
 ):
-    varies = Effect("varies", "", "c", (), {}, (), acts="parameter", over="spring.phi_rel", within=within)
+    varies = Effect("varies", "", "c", (), {}, (), acts="parameter", over="spring.phi_rel", within=(within,))
     nominal = fitted((), 9.0, residuals=([30.0, 0.0],), cost=900.0)
     answers = [fitted((n,), 0.0, residuals=([0.0, d],), cost=d * d) for n, d in (("varies", 0.0), ("law", apart))]
     merged = decide.merge_equivalent(answers, nominal, {"law": law, "varies": varies}, Recorded(np.array([1.0])))
@@ -613,7 +613,7 @@ def test_a_coefficient_that_varies_with_its_own_variable_is_the_law_of_that_unle
 @pytest.mark.parametrize(("within", "refitted"), [("spring", ["alike", "law"]), ("gear", ["alike"])])
 def test_a_law_that_says_the_same_is_refitted_whatever_its_trials_say(monkeypatch, within, refitted):
     """Trials of the law look like another coefficient that varies, not like the one that is open."""
-    varies = Effect("varies", "", "k", (), {}, (), law="varies_linear", over="twist", within=within)
+    varies = Effect("varies", "", "k", (), {}, (), law="varies_linear", over="twist", within=(within,))
     alike, law, known = (Tried(n) for n in ("alike", "law", "known"))
     scores = Tried("varies", (alike, known)), Tried("other", (law,))
     monkeypatch.setattr(

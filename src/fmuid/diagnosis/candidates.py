@@ -641,7 +641,7 @@ def twins(
     for name in fitted.effects:
         same = next((s.same for s in scores if s.effect == name), ())
         chosen = [s for s in same if not shaped or subject.by_id[s.effect].shapes][:_TWINS]
-        chosen += [s for s in every if says_the_same(subject.by_id[s.effect], subject.by_id[name])]
+        chosen += [s for s in every if says_the_same(subject.by_id[s.effect], subject.by_id[name])][:_TWINS]
         others = {*fitted.effects} - {name}
         fresh = [s for s in dict.fromkeys(chosen) if frozenset({*others, s.effect}) not in known]
         if not fresh:
@@ -654,12 +654,12 @@ def twins(
 
 
 def says_the_same(law: Effect, varying: Effect) -> bool:
-    """Return whether a law is how a coefficient of its branch varies, or one that its input acts through."""
+    """Return whether a law is how a coefficient of its place varies, or one that its input acts through."""
     return (
-        bool(varying.within)
-        and (law.port, law.over, law.states) == (varying.within, "", ())
+        law.port in varying.within
+        and (law.over, law.states) == ("", ())
         and law.acts in ("flow", "potential")
-        and (re.search(r"\b(p|through)\b", law.expression) is not None or law.law in OF_VALUE)
+        and (re.search(r"\b(p|rate|through)\b", law.expression) is not None or law.law in OF_VALUE)
     )
 
 

@@ -45,7 +45,7 @@ from fmuid.diagnosis.subject import Subject
 from fmuid.diagnosis.variants import varying_parameters
 from fmuid.diagnosis.verdict import Refinement
 from fmuid.effects.effect import Effect
-from fmuid.effects.flat_expressions import names_at, seen_at
+from fmuid.effects.flat_expressions import Seen, names_at, seen_at
 from fmuid.effects.laws import Dependence, Law, Place, effect_lines, fitting, laws, names_in, varying_id
 from fmuid.identification.problem.cases import LOGGED, RUN_TIME, logged
 from fmuid.simulation.fmu import Fmu
@@ -58,6 +58,7 @@ _EACH = 4  # of one parameter
 _SHARE = 0.25  # least score, as a share of the best one
 _ALIKE = 1e-4  # courses whose correlation is within this of 1 are the same
 _ONE_FLOW = 1e-6  # relative: what else there is of rates in proportion, beyond rounding
+_FUNCTION = 0.02  # of the mean square step between neighbours that have nothing to do with each other
 _MOVES = 1e-3  # relative to its size: what moves less counts as constant
 _FEW = 8  # states: in a model with more, only those near a component may change it
 _ABOUT_ONE = (0.7, 1.4)  # factors by which the size of a law may change that is not linear in it
@@ -93,7 +94,7 @@ class Source:
     factor
         Whether it multiplies or divides the coefficient.
     within
-        The branch whose coefficient and variable these are, or the input that multiplies it; else empty.
+        The places whose coefficient and variable these are, or the input that multiplies it.
     """
 
     name: str
@@ -104,7 +105,7 @@ class Source:
     near: bool = False
     column: bool = False
     factor: bool = False
-    within: str = ""
+    within: tuple[str, ...] = ()
 
     @property
     def low(self) -> float:
@@ -174,8 +175,8 @@ class Scored:
 class Setup:
     """A setup's model, linearised along its runs.
 
-    `across` are the branches of differences (`across_branches`), `places` the numbers of the coefficients in the
-    responses; `index` are the numbers of the setup's cases.
+    `across` are the branches of differences (`across_branches`), `places` the numbers of the coefficients, and of
+    flows at the `ports`, in the responses; `index` are the numbers of the setup's cases.
     Without source, `flat` is None.
     """
 
@@ -188,6 +189,8 @@ class Setup:
     courses: Sequence[Mapping[str, FloatArray]]
     responses: Sequence[LinearResponse]
     values: Mapping[str, float]
+    ports: Mapping[str, Port]
+    seen: Mapping[str, Sequence[Seen | None]]
 
     def offers(self, variable: str) -> bool:
         """Return whether coefficients may depend on a variable; without source, only on states and inputs."""
@@ -265,7 +268,7 @@ def _lines(
         usual = source.near or source.name in _measured(subject)
         usual = source.column or (usual and bool(one.coefficient.components))  # else unknown
         inputs = {source.text: source.unit} if source.text.startswith(LOGGED) else {}
-        within = "" if law.memory else source.within
+        within = () if law.memory else source.within
         over = Dependence(
             one.over, source.text, usual, not source.direct or bool(law.states), inputs, among, within
         )
@@ -356,6 +359,7 @@ def _setup(
     if not index or not by_name:
         return None
     linear: Linearised | LinearisedFmu
+    at: list[Port] = []
     if isinstance(model, Fmu):
         flat, linear, factors = None, LinearisedFmu(model, list(by_name)), {n: n for n in by_name}
         wanted = dict.fromkeys(linear.needed)
@@ -389,7 +393,11 @@ def _setup(
     where = {n: k for n, k in where.items() if n not in shared}
     across = {} if flat is None else across_branches(flat)
     having = {n: by_name[n] for n in where if n in by_name}
-    return Setup(flat, across, linear, having, where, index, courses, responses, known)
+    ports = {port.name: port for port in at if _flow(port) in where}
+    seen = {
+        n: [seen_at(p, c, case.time) for case, c in zip(cases, courses, strict=True)] for n, p in ports.items()
+    }
+    return Setup(flat, across, linear, having, where, index, courses, responses, known, ports, seen)
 
 
 def _flow(port: Port) -> str:
@@ -483,16 +491,62 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[Setup], name
     begun = tuple(case.columns[RUN_TIME][1] for case, _ in cases)
     offer(Source(_OF_RUN, RUN_TIME, "s", begun))
     branch = next((b for s in having for b in s.branches(name)), "")
+    nodes = _nodes(having, name)
 
-    def within(source: Source) -> str:
+    def within(source: Source) -> tuple[str, ...]:
         written = next((s.across[source.text] for s in having if source.text in s.across), "")
         if source.factor and written:
-            return written
+            return (written,)
         if source.name in inputs:
-            return source.name if source.factor else ""
-        return branch if source.near else ""
+            return (source.name,) * source.factor
+        node = next((n for n, own in nodes.items() if any(_one_course(source.courses, c) for c in own)), "")
+        return tuple(place for place in (branch * source.near, node) if place)
 
     return [replace(source, within=within(source)) for source in sources]
+
+
+def _nodes(having: Sequence[Setup], name: str) -> dict[str, list[tuple[FloatArray, ...]]]:
+    """Return the nodes where a coefficient acts as a law there would, with the courses of their quantities.
+
+    It moves the rates of the states as a flow at the node, which is a function of its potential or of its rate: a
+    conductance to a fixed temperature, a bearing.
+    """
+    nodes: dict[str, list[tuple[FloatArray, ...]]] = {}
+    for port in having[0].ports.values():
+        if port.kind != "node" or any(port.name not in setup.ports for setup in having):
+            continue
+        amounts = [_as_flow(r, s.places[name], s.places[_flow(port)]) for s in having for r in s.responses]
+        seen = [one for s in having for one in s.seen[port.name]]
+        for quantity in ("p", "rate") if all(a is not None for a in amounts) and None not in seen else ():
+            courses = [getattr(one, quantity) for one in seen]
+            if all(course is not None for course in courses):
+                knots = [r.knots.astype(np.intp) for s in having for r in s.responses]
+                at = np.concatenate([course[k] for course, k in zip(courses, knots, strict=True)])
+                if _is_function(at, np.concatenate([a for a in amounts if a is not None])):
+                    nodes.setdefault(port.name, []).append(tuple(courses))
+    return nodes
+
+
+def _as_flow(response: LinearResponse, coefficient: int, flow: int) -> FloatArray | None:
+    """Return the (K,) flow that moves the rates as a coefficient does; None if a flow does not."""
+    own, unit = response.rates[:, :, coefficient], response.rates[:, :, flow]
+    energy = np.sum(unit**2, axis=1)
+    amount = np.sum(own * unit, axis=1) / np.where(energy > 0.0, energy, np.inf)
+    rest = float(np.linalg.norm(own - amount[:, None] * unit))
+    size = float(np.linalg.norm(own))
+    return amount if size > 0.0 and rest <= _ONE_FLOW * size else None
+
+
+def _is_function(x: FloatArray, y: FloatArray) -> bool:
+    """Return whether neighbours in `x` are neighbours in `y` (von Neumann 1941)."""
+    steps = np.diff(y[np.argsort(x, kind="stable")])
+    return float(steps @ steps) <= _FUNCTION * 2.0 * float(np.sum((y - y.mean()) ** 2))
+
+
+def _one_course(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> bool:
+    """Return whether two variables are proportional beyond a constant."""
+    one, other = (whole - whole.mean() for whole in (np.concatenate(a), np.concatenate(b)))
+    return abs(float(one @ other)) >= (1.0 - _ALIKE) * float(np.linalg.norm(one) * np.linalg.norm(other)) > 0.0
 
 
 def _around(flat: FlatModel, c: Coefficient) -> set[str]:
@@ -815,13 +869,10 @@ def laws_beyond(
     beyond = [one for one in beyond if one.drop >= _MARGIN * null.threshold()]
     if not beyond:
         return {}
-    left = {name: max(cost - residual.size, 0.0) for name, cost in costs([*always, *beyond]).items()}
-    without = min((left[one.id] for one in always), default=np.inf)
-    return {
-        f"{one.beyond}@{one.place.port.name}": one.law
-        for one in beyond
-        if without - left[one.id] > _relevant(without)
-    }
+    left = costs([*always, *beyond])
+    without = min((left[one.id] for one in always), default=nominal.cost)
+    least = _relevant(max(without - residual.size, 0.0))
+    return {f"{one.beyond}@{one.place.port.name}": one.law for one in beyond if without - left[one.id] > least}
 
 
 def _laws_at(
@@ -829,8 +880,8 @@ def _laws_at(
 ) -> Iterator[LawThere]:
     """Yield the flows without states that laws cause at a place, each also beyond the best of some thresholds."""
     port = place.port
-    having = [setup for setup in setups if _flow(port) in setup.places]
-    times, columns = _seen(subject, having, port)
+    having = [setup for setup in setups if port.name in setup.ports]
+    times, columns = _columns(having, port)
     if not columns:
         return
 
@@ -864,10 +915,9 @@ def _laws_at(
         yield LawThere(f"{name}_beyond", gated[k], place, float(drops[k]), signatures[k], beyond=name)
 
 
-def _seen(subject: Subject, having: Sequence[Setup], port: Port) -> tuple[list[FloatArray], dict[str, FloatArray]]:
+def _columns(having: Sequence[Setup], port: Port) -> tuple[list[FloatArray], dict[str, FloatArray]]:
     """Return the times of all runs, and the quantities at a port in them, joined; none if a run lacks them."""
-    cases = [(subject.model.cases[k], c) for s in having for k, c in zip(s.index, s.courses, strict=True)]
-    every = [seen_at(port, course, case.time) for case, course in cases]
+    every = [one for setup in having for one in setup.seen[port.name]]
     seen = [one for one in every if one is not None]
     if not seen or len(seen) < len(every):
         return [], {}

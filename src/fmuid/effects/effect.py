@@ -122,8 +122,8 @@ class Effect:
     inputs
         Inputs that the model gets for the expression, with their units: logged columns that it does not use.
     over, within
-        What a coefficient depends on, as in the id, and the branch whose coefficient and variable these are, or
-        the input that multiplies it; empty for other effects.
+        What a coefficient depends on, as in the id, and the places whose laws say the same: the branch or node
+        whose coefficient and variable these are, or the input that multiplies it; empty for other effects.
     """
 
     id: str
@@ -148,7 +148,7 @@ class Effect:
     inputs: Mapping[str, str] = field(default_factory=dict)
     among: int = 1
     over: str = ""
-    within: str = ""
+    within: tuple[str, ...] = ()
 
     @property
     def sizes(self) -> tuple[str, ...]:

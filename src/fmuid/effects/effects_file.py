@@ -54,7 +54,7 @@ class _Effect(Table):
     inputs: dict[str, str] = msgspec.field(default_factory=dict)
     among: Annotated[int, msgspec.Meta(ge=1)] = 1
     over: str = ""
-    within: str = ""
+    within: tuple[str, ...] = ()
 
 
 class _Port(Table):

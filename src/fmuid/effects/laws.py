@@ -195,8 +195,7 @@ class Dependence:
     """What a coefficient depends on: name, Modelica text, whether it is usual and whether it makes a variant.
 
     `inputs` are inputs that the model gets for it, with their units; `among` is the number of dependences that
-    were compared; `within` is the branch whose coefficient and variable these are, or the input that multiplies
-    it.
+    were compared; `within` are the places of both, or the input that multiplies it.
     """
 
     name: str
@@ -205,7 +204,7 @@ class Dependence:
     variant: bool
     inputs: Mapping[str, str]
     among: int = 1
-    within: str = ""
+    within: tuple[str, ...] = ()
 
 
 def varying_id(parameter: str, over: str) -> str:
@@ -262,7 +261,7 @@ def effect_lines(name: str, law: Law, place: Place, over: Dependence | None = No
         *([] if usual else ["usual = false"]),
         *(["variant = true"] if variant else []),
         *([f"among = {over.among}", f"over = {toml_text(over.name)}"] if over is not None else []),
-        *([f"within = {toml_text(over.within)}"] if over is not None and over.within else []),
+        *([f"within = [{', '.join(map(toml_text, over.within))}]"] if over is not None and over.within else []),
         *(f"inputs.{toml_text(n)} = {toml_text(unit)}" for n, unit in (over.inputs if over else {}).items()),
         f"trials = [{', '.join(inline(t) for t in trials)}]",
         f"{table}.parameters]",
