@@ -46,7 +46,17 @@ from fmuid.diagnosis.variants import varying_parameters
 from fmuid.diagnosis.verdict import Refinement
 from fmuid.effects.effect import Effect
 from fmuid.effects.flat_expressions import Seen, names_at, seen_at
-from fmuid.effects.laws import Dependence, Law, Place, effect_lines, fitting, laws, names_in, varying_id
+from fmuid.effects.laws import (
+    Dependence,
+    Law,
+    LawParameter,
+    Place,
+    effect_lines,
+    fitting,
+    laws,
+    names_in,
+    varying_id,
+)
 from fmuid.identification.problem.cases import LOGGED, RUN_TIME, logged
 from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearResponse
@@ -847,7 +857,7 @@ def laws_beyond(
     """Return the laws that explain more where they act beyond a threshold only, by effect.
 
     With a threshold, they have to explain relevantly more than any law without one, and more than noise would: as
-    their responses promise where the model is, and then in refits.
+    responses promise where the model is, and then next to refits of those without one.
 
     Parameters
     ----------
@@ -871,8 +881,9 @@ def laws_beyond(
         return {}
     left = costs([*always, *beyond])
     without = min((left[one.id] for one in always), default=nominal.cost)
-    least = _relevant(max(without - residual.size, 0.0))
-    return {f"{one.beyond}@{one.place.port.name}": one.law for one in beyond if without - left[one.id] > least}
+    most = without - _relevant(max(without - residual.size, 0.0))
+    kept = (one for one in beyond if min(left[one.id], nominal.cost - one.drop) < most)
+    return {f"{one.beyond}@{one.place.port.name}": one.law for one in kept}
 
 
 def _laws_at(
@@ -907,12 +918,30 @@ def _laws_at(
             continue
         x = _flows(of, columns, {})
         low, high = float(x.min()), float(x.max())
-        gated = [law.beyond(of, low, high, low + share * (high - low), unit) for share in _THRESHOLDS]
+        thresholds = [low + share * (high - low) for share in _THRESHOLDS]
+        gated = [law.beyond(of, low, high, at, unit) for at in thresholds]
         flows = [_flows(one.of(port.domain), columns, _started(one, place) | sizes[0]) for one in gated]
         signatures, amounts = explained(flows)
         drops = np.where((amounts > 0.0) | law.two_sided, amounts**2, 0.0)
         k = int(np.argmax(drops))
-        yield LawThere(f"{name}_beyond", gated[k], place, float(drops[k]), signatures[k], beyond=name)
+        steady = law.steady(_idle(law, place, text, columns, x >= thresholds[k]))
+        best = steady.beyond(of, low, high, thresholds[k], unit)
+        yield LawThere(f"{name}_beyond", best, place, float(drops[k]), signatures[k], beyond=name)
+
+
+def _idle(
+    law: Law, place: Place, text: str, columns: Mapping[str, FloatArray], there: NDArray[np.bool_]
+) -> list[str]:
+    """Return the shapes that hardly change the flow of a law `there`: how soon dry friction changes its sign."""
+    starts = _started(law, place) | _sizes(law)[0]
+    flow = _flows(text, columns, starts)[there]
+
+    def changed(key: str, p: LawParameter) -> float:
+        ends = (parse(end)(place.sizes) for end in (p.least, p.most))
+        return max(float(np.abs(_flows(text, columns, {**starts, key: end})[there] - flow).max()) for end in ends)
+
+    least = _MOVES * float(np.abs(flow).max()) if len(flow) else 0.0
+    return [key for key, p in law.parameters.items() if p.off is None and len(flow) and changed(key, p) <= least]
 
 
 def _columns(having: Sequence[Setup], port: Port) -> tuple[list[FloatArray], dict[str, FloatArray]]:

@@ -112,6 +112,19 @@ class Law(Table):
         trials = [{k: v for k, v in trial.items() if k in used} for trial in self.trials or ()] or None
         return msgspec.structs.replace(self, flow="", parameters=parameters, trials=trials)
 
+    def steady(self, keys: Collection[str]) -> Law:
+        """Return the law with some of its shapes fixed where they start."""
+        known = {key: f"({self.parameters[key].start})" for key in keys}
+        text = self.expression
+        by_domain = text if isinstance(text, str) else {d: _put_in(e, known) for d, e in text.items()}
+        trials = [{k: v for k, v in trial.items() if k not in known} for trial in self.trials or ()]
+        return msgspec.structs.replace(
+            self,
+            expression=_put_in(text, known) if isinstance(text, str) else by_domain,
+            parameters={key: p for key, p in self.parameters.items() if key not in known},
+            trials=trials or None,
+        )
+
     def beyond(self, of: str, least: float, most: float, threshold: float, unit: str) -> Law:
         """Return the law where what it depends on, `of`, is beyond a threshold, and no effect below it.
 
