@@ -102,6 +102,8 @@ def test_a_leak_above_a_level(tmp_path):
     rig = campaign(tmp_path, VESSEL, VESSEL_STEP, rate, 0.3, drives, 2e-3, columns)
     diagnosed = fmuid.diagnose(rig, law=False)
     assert diagnosed.corrected.effects == ("leakage@h.balance",)
+    same = ("leakage@h.balance",), ("varies@k(h)",)
+    assert same in diagnosed.diagnosis.equal
     values = diagnosed.corrected.fit.values
     assert values["h.balance.leakage"] == pytest.approx(0.002, rel=0.1)
     assert values["h.balance.leakage_threshold"] == pytest.approx(0.6, abs=0.02)

@@ -214,8 +214,8 @@ def merge_equivalent(
     do, and by little next to what they leave: rigidly coupled shafts are one place, and the limit of a heater is
     its gain. Friction that differs between the directions is plain friction where a shaft never reverses: laws of
     one place need only be equal within the noise. A law of a branch or an input and a coefficient that varies with
-    its variable say the same, and are one unless the measurements contradict one of them. The most usual and
-    simplest of a group comes first, and stands for it; a law of the library leads.
+    its variable say the same: the nearest such law and the coefficient are one unless the measurements contradict
+    one of them. The most usual and simplest of a group comes first, and stands for it; a law of the library leads.
     """
 
     def preference(fitted: Fitted) -> list[tuple[bool, tuple[bool, int, bool]]]:
@@ -239,11 +239,11 @@ def merge_equivalent(
 
     classes: list[list[Fitted]] = []
     for fitted in sorted(candidates, key=preference):
-        group = next((c for c in classes if alike(c[0], fitted)), None)
-        if group is None:
-            classes.append([fitted])
+        groups = [c for c in classes if alike(c[0], fitted)]
+        if groups:
+            min(groups, key=lambda c: _apart(c[0], fitted, observed)).append(fitted)
         else:
-            group.append(fitted)
+            classes.append([fitted])
     return tuple(map(tuple, classes))
 
 

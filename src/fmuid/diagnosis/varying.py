@@ -509,7 +509,7 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[Setup], name
             return (written,)
         if source.name in inputs:
             return (source.name,) * source.factor
-        node = next((n for n, own in nodes.items() if any(_one_course(source.courses, c) for c in own)), "")
+        node = next((n for n, rates in nodes.items() if any(_one_course(source.courses, c) for c in rates)), "")
         return tuple(place for place in (branch * source.near, node) if place)
 
     return [replace(source, within=within(source)) for source in sources]
@@ -539,11 +539,11 @@ def _nodes(having: Sequence[Setup], name: str) -> dict[str, list[tuple[FloatArra
 
 def _as_flow(response: LinearResponse, coefficient: int, flow: int) -> FloatArray | None:
     """Return the (K,) flow that moves the rates as a coefficient does; None if a flow does not."""
-    own, unit = response.rates[:, :, coefficient], response.rates[:, :, flow]
+    rates, unit = response.rates[:, :, coefficient], response.rates[:, :, flow]
     energy = np.sum(unit**2, axis=1)
-    amount = np.sum(own * unit, axis=1) / np.where(energy > 0.0, energy, np.inf)
-    rest = float(np.linalg.norm(own - amount[:, None] * unit))
-    size = float(np.linalg.norm(own))
+    amount = np.sum(rates * unit, axis=1) / np.where(energy > 0.0, energy, np.inf)
+    rest = float(np.linalg.norm(rates - amount[:, None] * unit))
+    size = float(np.linalg.norm(rates))
     return amount if size > 0.0 and rest <= _ONE_FLOW * size else None
 
 
@@ -918,6 +918,8 @@ def _laws_at(
             continue
         x = _flows(of, columns, {})
         low, high = float(x.min()), float(x.max())
+        if high <= low:
+            continue
         thresholds = [low + share * (high - low) for share in _THRESHOLDS]
         gated = [law.beyond(of, low, high, at, unit) for at in thresholds]
         flows = [_flows(one.of(port.domain), columns, _started(one, place) | sizes[0]) for one in gated]
