@@ -509,7 +509,7 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[Setup], name
             return (written,)
         if source.name in inputs:
             return (source.name,) * source.factor
-        node = next((n for n, rates in nodes.items() if any(_one_course(source.courses, c) for c in rates)), "")
+        node = next((n for n, of in nodes.items() if any(_one_course(source.courses, c) for c in of)), "")
         return tuple(place for place in (branch * source.near, node) if place)
 
     return [replace(source, within=within(source)) for source in sources]
@@ -522,18 +522,20 @@ def _nodes(having: Sequence[Setup], name: str) -> dict[str, list[tuple[FloatArra
     conductance to a fixed temperature, a bearing.
     """
     nodes: dict[str, list[tuple[FloatArray, ...]]] = {}
+    responses = [(s, r) for s in having for r in s.responses]
     for port in having[0].ports.values():
         if port.kind != "node" or any(port.name not in setup.ports for setup in having):
             continue
-        amounts = [_as_flow(r, s.places[name], s.places[_flow(port)]) for s in having for r in s.responses]
-        seen = [one for s in having for one in s.seen[port.name]]
-        for quantity in ("p", "rate") if all(a is not None for a in amounts) and None not in seen else ():
-            courses = [getattr(one, quantity) for one in seen]
-            if all(course is not None for course in courses):
-                knots = [r.knots.astype(np.intp) for s in having for r in s.responses]
-                at = np.concatenate([course[k] for course, k in zip(courses, knots, strict=True)])
-                if _is_function(at, np.concatenate([a for a in amounts if a is not None])):
-                    nodes.setdefault(port.name, []).append(tuple(courses))
+        flows = [_as_flow(r, s.places[name], s.places[_flow(port)]) for s, r in responses]
+        flow = [part for part in flows if part is not None]
+        if len(flow) < len(flows):
+            continue
+        seen = [one for s in having for one in s.seen[port.name] if one is not None]
+        potentials = [one.p for one in seen if one.p is not None]
+        for courses in ([one.rate for one in seen], potentials):
+            at = [c[r.knots.astype(np.intp)] for c, (_, r) in zip(courses, responses, strict=False)]
+            if len(at) == len(flow) and _is_function(np.concatenate(at), np.concatenate(flow)):
+                nodes.setdefault(port.name, []).append(tuple(courses))
     return nodes
 
 
