@@ -359,8 +359,8 @@ def _size_covered(case: Scored) -> bool | None:
         return None
     for truth, size in case.label["sizes"].items():
         law = truth.partition("@")[0]
-        if case.label["units"] and law in ("offset", "drift", "dead_zone"):
-            continue  # in the unit of the log
+        if law in ("lag", "drift", "dead_zone") or (case.label["units"] and law == "offset"):
+            continue  # it depends on a further shape that is fitted, or is in the unit of the log
         for effect in case.answer["effects"]:
             if canonical(effect["id"]) == canonical(truth):
                 parameters = effect.get("parameters") or {}

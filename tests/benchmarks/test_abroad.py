@@ -18,7 +18,6 @@ def cache(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="ambiguous: radiation, or a conductance that grows")
 def test_what_a_plain_model_lacks_is_named_from_logs_alone(tmp_path):
     scored = diagnose(BY_NAME["thermal block"], "radiation@casing", tmp_path / "case", repeats=2)
     assert scored.right, scored

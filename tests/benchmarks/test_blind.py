@@ -207,8 +207,9 @@ def test_a_label_says_what_refits_to_the_end_leave(alone, gap, stratum, complete
     [
         ("quadratic@cart", "cart.quadratic", False, 1.0),
         ("capacity@core", "core.capacity", True, 1.0),
-        ("lag@y", "y.lag", True, 1.0),
-        ("dead_zone@u", "u.dead_zone", True, None),  # in the unit of the log
+        ("delay@y", "y.delay", True, 1.0),
+        ("lag@y", "y.lag", False, None),  # depends on how it is split
+        ("offset@u", "u.offset", True, None),  # in the unit of the log
         ("quadratic@cart", "cart.quadratic_width", False, None),
     ],
 )
