@@ -89,7 +89,7 @@ def test_a_law_that_always_acts_has_no_threshold(tmp_path):
     assert effects["quadratic@w.balance"]["expression"] == "w.balance.quadratic*rate*abs(rate)"
 
 
-def test_a_leak_above_a_level(tmp_path):
+def of_vessel(folder, begin):
     def rate(level, pumped):
         return (pumped - 0.004 * level - 0.002 * level * (level > 0.6)) / 0.1
 
@@ -98,8 +98,17 @@ def test_a_leak_above_a_level(tmp_path):
         lambda t: 0.005 * (np.sin(t / 40.0) > -0.3),
         lambda t: 0.002 + 0.004 * (t > 150.0),
     ]
-    columns = ("q [m3/s]", "h [m]")
-    rig = campaign(tmp_path, VESSEL, VESSEL_STEP, rate, 0.3, drives, 2e-3, columns)
+    model = VESSEL.replace("start = 0.3", f"start = {begin}")
+    return campaign(folder, model, VESSEL_STEP, rate, begin, drives, 2e-3, ("q [m3/s]", "h [m]"))
+
+
+def test_a_law_that_sets_in_is_no_lost_row(tmp_path, capsys):
+    of_vessel(tmp_path, 0.5)
+    assert "a row seems to be missing" not in capsys.readouterr().out
+
+
+def test_a_leak_above_a_level(tmp_path):
+    rig = of_vessel(tmp_path, 0.3)
     diagnosed = fmuid.diagnose(rig, law=False)
     assert diagnosed.corrected.effects == ("leakage@h.balance",)
     same = ("leakage@h.balance",), ("varies@k(h)",)

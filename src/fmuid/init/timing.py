@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from fmuid.core.campaign import Timing
 from fmuid.core.errors import FmuidError
@@ -262,13 +263,15 @@ def _most_likely_gap(changes: FloatArray, moves: FloatArray) -> tuple[int, float
     """Return the sample before which a row is missing most likely, and the log likelihood ratio.
 
     `changes` and `moves` are those of the errors and of the prediction from sample to sample, (outputs, N - 1).
-    The first change is left out: it may be due to a start that differs from the model's.
+    Changes next to a sample tell how fast the model departs there anyway. The first change is left out: it may be
+    due to a start that differs from the model's.
     """
     scale = 1.4826 * np.nanmedian(np.abs(changes), axis=1, keepdims=True)
     scale = np.maximum(scale, 1e-9)
     off, move = changes / scale, np.append(moves[:, 1:], moves[:, -1:], axis=1) / scale
     known = np.isfinite(off)
     off = np.where(known, off, 0.0)
+    off = off - median_filter(off, (1, 2 * _AROUND + 1))  # beyond what a model departs anyway
     move = np.where(known, move, 0.0)
     product, square = np.sum(off * move, axis=0), np.sum(move**2, axis=0)
     share = product / np.maximum(square, 1e-300)
