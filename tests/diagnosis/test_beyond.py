@@ -32,6 +32,29 @@ equation
   A*der(h) = q - k*h;
 end Vessel;
 """
+AMPLIFIED = """
+model Amplified "A shaft that is driven through blocks"
+  connector In = input Real;
+  connector Out = output Real;
+  block Amplifier
+    In u;
+    Out y;
+    parameter Real k(unit = "1") = 1 "Gain";
+  equation
+    y = k*u;
+  end Amplifier;
+  parameter Real J(unit = "kg.m2") = 0.02 "Rotor";
+  parameter Real d(unit = "N.m.s/rad") = 0.05 "Bearings";
+  input Real tau(unit = "N.m") "Motor";
+  output Real w(unit = "rad/s", start = 0, fixed = true) "Speed";
+  Amplifier first;
+  Amplifier second;
+equation
+  first.u = tau;
+  connect(first.y, second.u);
+  J*der(w) = second.y - d*w;
+end Amplified;
+"""
 SHAFT_STEP, VESSEL_STEP, SAMPLES = 0.01, 1.0, 400
 
 
@@ -58,13 +81,13 @@ def campaign(folder, model, step, rate, begin, drives, noise, columns):
     return fmuid.start(files, model=source, out=folder / "campaign")
 
 
-def of_shaft(folder, torque):
+def of_shaft(folder, torque, model=SHAFT):
     drives = [
         lambda t: 0.4 * np.sin(2.0 * t),
         lambda t: 0.3 * np.sign(np.sin(3.0 * t)),
         lambda t: 0.25 * np.sin(5.0 * t) + 0.15,
     ]
-    return campaign(folder, SHAFT, SHAFT_STEP, shaft(torque), 0.0, drives, 0.01, ("tau [N.m]", "w [rad/s]"))
+    return campaign(folder, model, SHAFT_STEP, shaft(torque), 0.0, drives, 0.01, ("tau [N.m]", "w [rad/s]"))
 
 
 def rubbing(speed):
@@ -87,6 +110,13 @@ def test_a_law_that_always_acts_has_no_threshold(tmp_path):
     text = made_catalogue(of_shaft(tmp_path, lambda speed: 0.01 * speed * abs(speed)), load_simulator)
     effects = tomllib.loads(text)["effects"]
     assert effects["quadratic@w.balance"]["expression"] == "w.balance.quadratic*rate*abs(rate)"
+
+
+def test_a_model_may_have_signals_inside(tmp_path):
+    text = made_catalogue(of_shaft(tmp_path, rubbing, AMPLIFIED), load_simulator)
+    effects = tomllib.loads(text)["effects"]
+    assert "gain@second.u" in effects
+    assert "threshold" in effects["coulomb@w.balance"]["expression"]
 
 
 def of_vessel(folder, begin):

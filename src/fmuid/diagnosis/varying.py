@@ -380,7 +380,8 @@ def _setup(
             {n: f"{n.replace(':', '.')}.factor" if n != c.parameter else n for n, c in by_name.items()},
         )
         terms = [Term(n, "parameter", f"p*{factor}") for n, factor in factors.items() if factor != n]
-        at = [place.port for place in places if place.port.name in find_places(flat)]
+        here = find_places(flat)
+        at = [place.port for place in places if place.port.name in here and any(_flow_laws(place))]
         factors |= {_flow(port): f"{port.name}.flow_factor" for port in at}
         terms += [Term(port.name, "flow", f"{factors[_flow(port)]} - 1") for port in at]
         split = instrument(flat, terms, [Added(factor, 1.0) for n, factor in factors.items() if factor != n])
@@ -907,9 +908,9 @@ def _laws_at(
         return signatures, -(signatures @ residual)
 
     of, unit = ("abs(rate)", f"{port.units[0]}/s") if port.domain in MECHANICAL else ("p", port.units[0])
-    for name, law in fitting(place):
+    for name, law in _flow_laws(place):
         text, starts = law.of(port.domain), _started(law, place)
-        if law.acts != "flow" or law.states or not names_in(text) <= {*columns, *starts}:
+        if not names_in(text) <= {*columns, *starts}:
             continue
         sizes = _sizes(law)
         signatures, amounts = explained([_flows(text, columns, starts | size) for size in sizes])
@@ -931,6 +932,11 @@ def _laws_at(
         steady = law.steady(_idle(law, place, text, columns, x >= thresholds[k]))
         best = steady.beyond(of, low, high, thresholds[k], unit)
         yield LawThere(f"{name}_beyond", best, place, float(drops[k]), signatures[k], beyond=name)
+
+
+def _flow_laws(place: Place) -> Iterator[tuple[str, Law]]:
+    """Yield the laws at a place that are flows and have no states."""
+    yield from ((name, law) for name, law in fitting(place) if law.acts == "flow" and not law.states)
 
 
 def _idle(
