@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from fmuid.diagnosis.next_experiment import suggest
 from fmuid.diagnosis.refit import about, refit
 from fmuid.diagnosis.scores import nominal_basis, stack
 from fmuid.diagnosis.subject import tightened
+from fmuid.effects.effect import Effect, Unknown
 
 
 def test_an_exchange_mends_a_first_pick_that_was_wrong(monkeypatch):
@@ -634,3 +636,25 @@ def test_an_answer_at_implausible_bounds_is_none_while_another_is_open(strained,
     monkeypatch.setattr("fmuid.diagnosis.decide.strained", lambda fitted, *_: bool(strained & set(fitted.effects)))
     answer = diagnose_subject(heard({"one": {1: 1.0}, "other": {1: 1.0, 2: 5e-4}}, {1: 1.0})).diagnosis
     assert (answer.verdict.kind, answer.verdict.effects) == (kind, effects)
+
+
+def test_a_special_case_is_also_sought_where_the_general_one_ended(monkeypatch):
+    """A search for dry friction that begins too far away finds nothing; with a threshold, it does."""
+    plain, general = (
+        Effect(n, "", "w", (Unknown(n, 0.0, 0.0, 9.0, 0.1),), {n: 0.0}, (), law=n) for n in ("plain", "general")
+    )
+    monkeypatch.setattr(
+        candidates, "score_effects", lambda *_: [SimpleNamespace(effect=e.id) for e in (plain, general)]
+    )
+    ends = {"plain": (90.0, {"J": 1.0, "plain": 0.1}), "general": (20.0, {"J": 2.0, "general": 3.0})}
+    monkeypatch.setattr(candidates, "approach_effect", lambda _, __, score: ends[score.effect])
+    at = {(2.0, 3.0): 25.0}
+    monkeypatch.setattr(
+        candidates, "approach", lambda _, __, starts: (at[starts[0]["J"], starts[0]["plain"]], starts[0])
+    )
+    subject = SimpleNamespace(
+        model=SimpleNamespace(predict=None), observed=None, effects=(), by_id={"plain": plain, "general": general}
+    )
+    fit = SimpleNamespace(cost=100.0, unknowns=())
+    assert candidates.costs_with(subject, fit) == {"plain": 90.0, "general": 20.0}
+    assert candidates.costs_with(subject, fit, {"plain": "general"}) == {"plain": 25.0, "general": 20.0}

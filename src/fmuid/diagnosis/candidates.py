@@ -18,6 +18,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -495,11 +496,23 @@ def approach_effect(
     return approach(subject, unknowns, _starts(subject, fit, score, everywhere=everywhere), most)
 
 
-def costs_with(subject: Subject, fit: Refit) -> dict[str, float]:
-    """Return the cost that a quick search with each effect of the subject added to a refit leaves, by id."""
+def costs_with(
+    subject: Subject, fit: Refit, special: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, float]:
+    """Return the cost that a quick search with each effect of the subject added to a refit leaves, by id.
+
+    Effects that are `special` cases of others, with one size each, are also sought where these ended.
+    """
     scores = score_effects(subject.model.predict, subject.observed, fit, subject.effects)
     ends = {s.effect: approach_effect(subject, fit, s) for s in scores}
-    return {name: fit.cost if end is None else min(end[0], fit.cost) for name, end in ends.items()}
+    costs = {name: fit.cost if end is None else min(end[0], fit.cost) for name, end in ends.items()}
+    for name, general in special.items():
+        one, other, end = subject.by_id[name], subject.by_id[general], ends[general]
+        if end is not None:
+            start = {**end[1], **one.neutral, one.sizes[0]: end[1][other.sizes[0]]}
+            again = approach(subject, (*fit.unknowns, *one.unknowns), [start])
+            costs[name] = costs[name] if again is None else min(again[0], costs[name])
+    return costs
 
 
 def approach(

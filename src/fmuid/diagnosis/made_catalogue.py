@@ -399,19 +399,24 @@ def _made(
     if fit is None:
         return catalogue_text(places, held, signals), {}
 
-    def costs(lines: Sequence[str]) -> dict[str, float]:
+    def costs(lines: Sequence[str], special: Mapping[str, str] = MappingProxyType({})) -> dict[str, float]:
         alone = "\n".join([catalogue_text([], {}, HEAD), *lines])
         spec = replace(_spec(campaign), catalogue=_in_cache(alone))
         built = with_catalogue(replace(campaign, effects=spec), load, runner=runner)
-        return costs_with(subject_of(built, load, runner=runner), fit)
+        return costs_with(subject_of(built, load, runner=runner), fit, special)
 
     varying: dict[str, FlatModel | Fmu] = {**{name: setup.flat for name, setup in setups.items()}, **states}
     linear = linearised(subject, fit, varying, places)
-    beyond = laws_beyond(subject, fit, linear, places, costs=lambda laws: costs(_lines_there(laws)))
+    beyond = laws_beyond(subject, fit, linear, places, costs=lambda laws: costs(_lines_there(laws), _plain(laws)))
     text = catalogue_text(places, held, signals, beyond)
     known = tomllib.loads(text)["ports"]
     lines = varying_lines(subject, fit, campaign, linear, known, costs=costs)
     return "\n".join([text, *lines]), fit.values
+
+
+def _plain(laws: Sequence[LawThere]) -> dict[str, str]:
+    """Return the laws that always act, by id, with those that are the same beyond a threshold."""
+    return {law.without: law.id for law in laws if law.beyond}
 
 
 def _lines_there(laws: Sequence[LawThere]) -> list[str]:

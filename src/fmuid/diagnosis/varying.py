@@ -848,6 +848,11 @@ class LawThere:
         """Id of the effect."""
         return f"{self.name}@{self.place.port.name}"
 
+    @property
+    def without(self) -> str:
+        """Id of the effect without a threshold."""
+        return f"{self.beyond or self.name}@{self.place.port.name}"
+
 
 def laws_beyond(
     subject: Subject,
@@ -882,11 +887,12 @@ def laws_beyond(
     beyond = [one for one in beyond if one.drop >= _MARGIN * null.threshold()]
     if not beyond:
         return {}
-    left = costs([*always, *beyond])
-    without = min((left[one.id] for one in always), default=nominal.cost)
+    plain = {one.id: one for one in always} | {o.id: o for o in every if o.id in {one.without for one in beyond}}
+    left = costs([*plain.values(), *beyond])
+    without = min((left[name] for name in plain), default=nominal.cost)
     most = without - _relevant(max(without - residual.size, 0.0))
     kept = (one for one in beyond if min(left[one.id], nominal.cost - one.drop) < most)
-    return {f"{one.beyond}@{one.place.port.name}": one.law for one in kept}
+    return {one.without: one.law for one in kept}
 
 
 def _laws_at(
