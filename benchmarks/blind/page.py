@@ -150,7 +150,7 @@ def _with_aims(every: Sequence[Figure]) -> tuple[list[Figure], list[Figure]]:
 
 
 def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
-    cases, every = grid.cases, [*earlier, grid]
+    cases, every, earlier = grid.cases, [*earlier, grid], earlier[-4:]  # a table is no wider than a page
     lines = [
         f"## {grid.title}",
         "",
