@@ -103,6 +103,7 @@ def test_friction_that_acts_beyond_a_speed(tmp_path):
     answer = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     described = next(e["description"] for e in answer["effects"] if e["id"] == "coulomb@w.balance")
     assert described == f"w.balance: dry friction beyond {values['w.balance.coulomb_threshold']:.3g} rad/s"
+    assert f"Coulomb at w.balance acts only{described[described.index(' beyond') :]}." in answer["verdict"]["text"]
     assert answer["corrected_differs"] < 0.05
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,7 @@ def facts(diagnosis: Mapping[str, Any]) -> tuple[Fact, ...]:
 def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     """Return the verdict in one to three sentences."""
     verdict = diagnosis["verdict"]
-    lines = [f"{verdict_text(diagnosis)}."]
+    lines = [f"{verdict_text(diagnosis)}.", *_from_where_on(diagnosis)]
     best = next((a for a in diagnosis["answers"] if a.get("closure")), None)
     if named(verdict) and best is not None:
         with_what = "With it" if len(best["effects"]) == 1 else "With them"
@@ -162,6 +162,15 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
             f" ({low:.2f} to {high:.2f})."
         )
     return lines
+
+
+def _from_where_on(diagnosis: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence on each named effect that acts beyond a threshold only, as its description says."""
+    meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
+    for name in named(diagnosis["verdict"]):
+        _, beyond, value = meant.get(name, "").partition(" beyond ")
+        if beyond:
+            yield f"{_capital(in_words(name))} acts only beyond {value}."
 
 
 def _of_table(table: Mapping[str, Any], best: Mapping[str, Any], told: Mapping[str, Any] | None) -> str:
