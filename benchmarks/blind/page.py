@@ -27,7 +27,7 @@ or an effect in one operating regime only. Six of ten logs are single runs; some
 loop, have the timing of a PLC or columns that nothing uses; one file in twenty is damaged.
 
 `fmuid init` and `fmuid diagnose` get logs and model as from a user. Every seed is used once and then published
-whole, in `benchmarks/blind/published/<seed>/`: labels, answers, SHA-256 of every log. Labels of the first
+whole, in `benchmarks/blind/published/<seed>/`: commit, labels, answers, SHA-256 of every log. Labels of the first
 {rehearsal} cases (or as many as `seed.json` says) may be read while rules change; the next {check} are the check.
 
     make blind SEED=...  # draw and diagnose
@@ -36,9 +36,8 @@ whole, in `benchmarks/blind/published/<seed>/`: labels, answers, SHA-256 of ever
 Before any diagnosis, 50 random rigs were compared with their models: `make blind-agreement` (largest difference
 0.001 standard deviations of the noise).
 
-A gap is in noise floors of a sample after a refit of all parameters. Sizes are drawn by quick refits; the label
-then says what refits to the end leave (`measured.jsonl`). An effect that leaves less than a floor is one of the
-background. Effects that a case's runs cannot tell
+A gap is in noise floors of a sample after refits of all parameters to the end (`measured.jsonl`; quick ones draw
+the sizes). An effect that leaves less than a floor is background. Effects that a case's runs cannot tell
 apart (less than 3 standard deviations over all runs, by the plant) count as one, coefficients that vary included;
 a drag is a damper that grows with speed. A model whose gap is below its tolerance, one floor, is complete. The
 background's effects may be named, and what the runs cannot tell from one of them that is visible itself. An answer
@@ -155,7 +154,7 @@ def _section(grid: _Grid, earlier: Sequence[_Grid]) -> str:
         f"## {grid.title}",
         "",
         grid.told.capitalize(),
-        *(f"For comparison, seed {one.seed.seed}: {one.told}" for one in earlier),
+        *(f"For comparison, seed {one.seed.seed}: {len(one.cases)} cases on {one.rigs} rigs." for one in earlier),
         f"Together, these are {sum(len(g.cases) for g in every)} cases on {sum(g.rigs for g in every)} rigs.",
         "",
         _aims(_with_aims(figures(cases))[0], {f"seed {one.seed.seed}": figures(one.cases) for one in earlier}),
