@@ -647,10 +647,10 @@ def test_a_special_case_is_also_sought_where_the_general_one_ended(monkeypatch):
         candidates, "score_effects", lambda *_: [SimpleNamespace(effect=e.id) for e in (plain, general)]
     )
     ends = {"plain": (90.0, {"J": 1.0, "plain": 0.1}), "general": (20.0, {"J": 2.0, "general": 3.0})}
-    monkeypatch.setattr(candidates, "approach_effect", lambda _, __, score: ends[score.effect])
+    monkeypatch.setattr(candidates, "approach_effect", lambda _, __, score, ___: ends[score.effect])
     at = {(2.0, 3.0): 25.0}
     monkeypatch.setattr(
-        candidates, "approach", lambda _, __, starts: (at[starts[0]["J"], starts[0]["plain"]], starts[0])
+        candidates, "approach", lambda _, __, starts, ___: (at[starts[0]["J"], starts[0]["plain"]], starts[0])
     )
     subject = SimpleNamespace(
         model=SimpleNamespace(predict=None), observed=None, effects=(), by_id={"plain": plain, "general": general}

@@ -504,13 +504,13 @@ def costs_with(
     Effects that are `special` cases of others, with one size each, are also sought where these ended.
     """
     scores = score_effects(subject.model.predict, subject.observed, fit, subject.effects)
-    ends = {s.effect: approach_effect(subject, fit, s) for s in scores}
+    ends = {s.effect: approach_effect(subject, fit, s, fit.cost) for s in scores}
     costs = {name: fit.cost if end is None else min(end[0], fit.cost) for name, end in ends.items()}
     for name, general in special.items():
         one, other, end = subject.by_id[name], subject.by_id[general], ends[general]
         if end is not None:
             start = {**end[1], **one.neutral, one.sizes[0]: end[1][other.sizes[0]]}
-            again = approach(subject, (*fit.unknowns, *one.unknowns), [start])
+            again = approach(subject, (*fit.unknowns, *one.unknowns), [start], costs[name])
             costs[name] = costs[name] if again is None else min(again[0], costs[name])
     return costs
 
