@@ -388,6 +388,16 @@ def test_a_parameter_held_at_zero_has_the_scale_of_its_bounds(tmp_path):
     assert {t["d"] for t in d.trials} == {0.01, -0.02, 0.05, -0.1, 0.2, -0.4}
 
 
+@pytest.mark.parametrize("written", ['"lever"', '["lever"]'])
+def test_a_catalogue_may_have_one_place_or_several_that_say_the_same(tmp_path, written):
+    """Catalogues of earlier versions have one."""
+    file = tmp_path / "effects.toml"
+    text = catalogue_text([], {"k": Held(1.0, "1")}, HEAD)
+    file.write_text(text.replace('port = "k"', f'port = "k"\nover = "lever.x"\nwithin = {written}'))
+    (effect,) = load_catalogue(file).effects.values()
+    assert effect.within == ("lever",)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_trial_at_a_bound_is_the_bound(name, tmp_path):
     """Otherwise a fit that stays at such a trial would count as one that wants to go beyond all trials."""

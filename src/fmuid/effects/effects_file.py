@@ -54,7 +54,7 @@ class _Effect(Table):
     inputs: dict[str, str] = msgspec.field(default_factory=dict)
     among: Annotated[int, msgspec.Meta(ge=1)] = 1
     over: str = ""
-    within: tuple[str, ...] = ()
+    within: str | tuple[str, ...] = ()
 
 
 class _Port(Table):
@@ -180,7 +180,7 @@ def _effect(name: str, raw: _Effect, ports: Mapping[str, Port], where: str) -> E
         inputs=dict(raw.inputs),
         among=raw.among,
         over=raw.over,
-        within=raw.within,
+        within=(raw.within,) if isinstance(raw.within, str) else raw.within,
     )
 
 
