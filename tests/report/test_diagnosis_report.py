@@ -105,6 +105,17 @@ def test_a_verdict_is_said_as_an_engineer_would():
 
 
 @pytest.mark.parametrize(
+    ("parameter", "has_threshold"), [("gear_friction.mesh_loss_threshold", True), ("lam", False)]
+)
+def test_only_a_law_with_a_threshold_is_said_to_act_beyond_it(parameter, has_threshold):
+    """A description of the user's may have the word as well."""
+    diagnosis = copy.deepcopy(samples.diagnosis())
+    effect = next(e for e in diagnosis["effects"] if e["id"] == "mesh_loss")
+    effect |= {"description": "loss beyond 3 rad/s", "parameters": {parameter: {}}}
+    assert ("Mesh loss acts only beyond 3 rad/s." in sentences(diagnosis)) == has_threshold
+
+
+@pytest.mark.parametrize(
     ("present", "bounded", "words"),
     [
         (True, False, "record a run with a different input; a single experiment"),

@@ -166,10 +166,11 @@ def sentences(diagnosis: Mapping[str, Any]) -> list[str]:
 
 def _from_where_on(diagnosis: Mapping[str, Any]) -> Iterator[str]:
     """Yield a sentence on each named effect that acts beyond a threshold only, as its description says."""
-    meant = {e["id"]: e.get("description", "") for e in diagnosis["effects"]}
+    by_id = {e["id"]: e for e in diagnosis["effects"]}
     for name in named(diagnosis["verdict"]):
-        _, beyond, value = meant.get(name, "").partition(" beyond ")
-        if beyond:
+        effect = by_id.get(name, {})
+        _, beyond, value = effect.get("description", "").partition(" beyond ")
+        if beyond and any(p.endswith("_threshold") for p in effect.get("parameters", ())):
             yield f"{_capital(in_words(name))} acts only beyond {value}."
 
 
