@@ -647,7 +647,8 @@ def twins(
 
     Effects are indistinguishable as far as their trials say. With `shaped`, only those are taken that have shapes,
     which may fit better than those of their trials. Laws that say the same as a coefficient that varies give the
-    name where they fit as well, so they are refitted whatever their trials say. What is `known` is not refitted.
+    name where they fit as well, so the best of them are refitted although their trials differ. What is `known`
+    is not refitted.
     """
     refitted_twins = []
     every = [one for score in scores for one in (score, *score.same)]

@@ -64,10 +64,11 @@ from fmuid.simulation.linear_response import Linearised, LinearisedFmu, LinearRe
 TIME, WARMTH, COEFFICIENT = "time", "warmth", "parameter"
 _OF_RUN = RUN_TIME.removeprefix(LOGGED)
 _MOST = 10  # coefficients that vary, built into a model
-_EACH = 4  # of one parameter
+_EACH = 4  # of one parameter; laws that always act and laws beyond a threshold that refits compare
 _SHARE = 0.25  # least score, as a share of the best one
 _ALIKE = 1e-4  # courses whose correlation is within this of 1 are the same
 _ONE_FLOW = 1e-6  # relative: what else there is of rates in proportion, beyond rounding
+_SHOWN = 1e-3  # of a response: what the fitted parameters have to leave of it
 _FUNCTION = 0.02  # of the mean square step between neighbours that have nothing to do with each other
 _MOVES = 1e-3  # relative to its size: what moves less counts as constant
 _FEW = 8  # states: in a model with more, only those near a component may change it
@@ -333,11 +334,16 @@ def scored(
         shaped = [s for of in by_source for s in _shaped(subject, having, of, basis=basis, residual=residual)]
         groups.append(_open(shaped, beyond))
     groups.sort(key=_largest, reverse=True)
+    beyond_noise = _beyond_noise(subject, nominal, basis, [s.signature for group in groups for s in group])
+    least = max(beyond_noise, _SHARE * _largest(groups[0]))
+    return [group for group in groups if _largest(group) >= least][:_MOST], among
+
+
+def _beyond_noise(subject: Subject, nominal: Refit, basis: FloatArray, signatures: Sequence[FloatArray]) -> float:
+    """Return the fall of the cost from which one of the `signatures` explains more than noise alone would."""
     (prediction,) = subject.model.predict([nominal.values])
     assert not isinstance(prediction, SimulationError)
-    null = draw_noise(observed, prediction).null(basis, [s.signature for group in groups for s in group])
-    least = max(_MARGIN * null.threshold(), _SHARE * _largest(groups[0]))
-    return [group for group in groups if _largest(group) >= least][:_MOST], among
+    return _MARGIN * draw_noise(subject.observed, prediction).null(basis, signatures).threshold()
 
 
 def linearised(
@@ -467,9 +473,8 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[Setup], name
         size = float(np.abs(whole).max())
         if not np.isfinite(whole).all() or float(np.ptp(whole)) <= _MOVES * size:
             return
-        centred = whole - whole.mean()
-        unit = centred / np.linalg.norm(centred)
-        same = next((k for k, other in enumerate(known) if abs(float(unit @ other)) >= 1.0 - _ALIKE), None)
+        unit = _unit(whole)
+        same = next((k for k, other in enumerate(known) if _one_course(unit, other)), None)
         if same is None:
             known.append(unit)
             sources.append(source)
@@ -504,26 +509,28 @@ def _sources(subject: Subject, campaign: Campaign, having: Sequence[Setup], name
     branch = next((b for s in having for b in s.branches(name)), "")
     nodes = _nodes(having, name)
 
-    def within(source: Source) -> tuple[str, ...]:
+    def within(source: Source, unit: FloatArray) -> tuple[str, ...]:
         written = next((s.across[source.text] for s in having if source.text in s.across), "")
         if source.factor and written:
             return (written,)
         if source.name in inputs:
             return (source.name,) * source.factor
-        node = next((n for n, of in nodes.items() if any(_one_course(source.courses, c) for c in of)), "")
+        node = next((n for n, of in nodes.items() if any(_one_course(unit, one) for one in of)), "")
         return tuple(place for place in (branch * source.near, node) if place)
 
-    return [replace(source, within=within(source)) for source in sources]
+    return [replace(source, within=within(source, unit)) for source, unit in zip(sources, known, strict=True)]
 
 
-def _nodes(having: Sequence[Setup], name: str) -> dict[str, list[tuple[FloatArray, ...]]]:
-    """Return the nodes where a coefficient acts as a law there would, with the courses of their quantities.
+def _nodes(having: Sequence[Setup], name: str) -> dict[str, list[FloatArray]]:
+    """Return the nodes where a coefficient acts as a law there would, with its quantities, of unit length.
 
     It moves the rates of the states as a flow at the node, which is a function of its potential or of its rate: a
     conductance to a fixed temperature, a bearing.
     """
-    nodes: dict[str, list[tuple[FloatArray, ...]]] = {}
+    nodes: dict[str, list[FloatArray]] = {}
     responses = [(s, r) for s in having for r in s.responses]
+    begins = np.cumsum([0, *(len(r.time) for _, r in responses[:-1])])
+    knots = np.concatenate([k + r.knots for k, (_, r) in zip(begins, responses, strict=True)]).astype(np.intp)
     for port in having[0].ports.values():
         if port.kind != "node" or any(port.name not in setup.ports for setup in having):
             continue
@@ -531,12 +538,10 @@ def _nodes(having: Sequence[Setup], name: str) -> dict[str, list[tuple[FloatArra
         flow = [part for part in flows if part is not None]
         if len(flow) < len(flows):
             continue
-        seen = [one for s in having for one in s.seen[port.name] if one is not None]
-        potentials = [one.p for one in seen if one.p is not None]
-        for courses in ([one.rate for one in seen], potentials):
-            at = [c[r.knots.astype(np.intp)] for c, (_, r) in zip(courses, responses, strict=False)]
-            if len(at) == len(flow) and _is_function(np.concatenate(at), np.concatenate(flow)):
-                nodes.setdefault(port.name, []).append(tuple(courses))
+        _, columns = _columns(having, port)
+        for course in (columns[quantity] for quantity in ("rate", "p") if quantity in columns):
+            if np.ptp(course) > 0.0 and _is_function(course[knots], np.concatenate(flow)):
+                nodes.setdefault(port.name, []).append(_unit(course))
     return nodes
 
 
@@ -556,10 +561,15 @@ def _is_function(x: FloatArray, y: FloatArray) -> bool:
     return float(steps @ steps) <= _FUNCTION * 2.0 * float(np.sum((y - y.mean()) ** 2))
 
 
-def _one_course(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> bool:
-    """Return whether two variables are proportional beyond a constant."""
-    one, other = (whole - whole.mean() for whole in (np.concatenate(a), np.concatenate(b)))
-    return abs(float(one @ other)) >= (1.0 - _ALIKE) * float(np.linalg.norm(one) * np.linalg.norm(other)) > 0.0
+def _unit(course: FloatArray) -> FloatArray:
+    """Return a course around its mean, of unit length."""
+    centred = course - course.mean()
+    return np.asarray(centred / np.linalg.norm(centred))
+
+
+def _one_course(a: FloatArray, b: FloatArray) -> bool:
+    """Return whether two courses of unit length are one."""
+    return abs(float(a @ b)) >= 1.0 - _ALIKE
 
 
 def _around(flat: FlatModel, c: Coefficient) -> set[str]:
@@ -620,11 +630,8 @@ def _at(
     if not any(map(len, rows)):
         return
     moved = _moved(subject, having, name, np.split(np.concatenate(rows), ends, axis=1))
-    signatures = project_off(moved.T, basis).T
-    lengths, wholes = (np.linalg.norm(m, axis=1) for m in (signatures, moved))
-    shown = lengths > 1e-3 * wholes
-    lengths = np.where(shown, lengths, 1.0)
-    amounts = -(signatures @ residual) / lengths
+    signatures, lengths, amounts = _responses(moved, basis, residual)
+    shown, lengths = lengths > 0.0, np.where(lengths > 0.0, lengths, 1.0)
     begin = 0
     for (law_name, of_law), changes in zip(trials.items(), rows, strict=True):
         law, part = laws()[law_name], slice(begin, begin + len(of_law))
@@ -637,10 +644,26 @@ def _at(
             continue
         k = int(np.argmax(np.where(shown[part], drops, -np.inf)))
         change = float(abs(fitting[k]) * np.abs(changes[k]).max())
-        coefficient, signature = having[0].coefficients[name], signatures[part][k] / length[k]
+        coefficient, signature = having[0].coefficients[name], signatures[part][k]
         yield Scored(
             coefficient, source, law_name, of_law[k], float(drops[k]), change, signature, float(fitting[k]), power
         )
+
+
+def _responses(
+    moved: FloatArray, basis: FloatArray, residual: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (R, M) signatures of unit length, their (R,) lengths, and how far the residual follows each.
+
+    All are zero where the parameters imitate nearly all that (R, M) changes of the residual are.
+    """
+    signatures = project_off(moved.T, basis).T
+    lengths, wholes = (np.linalg.norm(m, axis=1) for m in (signatures, moved))
+    lengths = np.where(lengths > _SHOWN * wholes, lengths, 0.0)
+    units = np.where(lengths > 0.0, lengths, np.inf)
+    amounts = -(signatures @ residual) / units
+    signatures /= units[:, None]
+    return signatures, lengths, amounts
 
 
 def _acting(changes: FloatArray, power: float) -> FloatArray:
@@ -881,13 +904,12 @@ def laws_beyond(
     beyond = sorted((one for one in every if one.beyond and one.drop > least), key=lambda one: -one.drop)[:_EACH]
     if not beyond:
         return {}
-    (prediction,) = subject.model.predict([nominal.values])
-    assert not isinstance(prediction, SimulationError)
-    null = draw_noise(observed, prediction).null(basis, [one.signature for one in beyond])
-    beyond = [one for one in beyond if one.drop >= _MARGIN * null.threshold()]
+    least = _beyond_noise(subject, nominal, basis, [one.signature for one in beyond])
+    beyond = [one for one in beyond if one.drop >= least]
     if not beyond:
         return {}
-    plain = {one.id: one for one in always} | {o.id: o for o in every if o.id in {one.without for one in beyond}}
+    same = {one.without for one in beyond}
+    plain = {one.id: one for one in (*always, *(one for one in every if one.id in same))}
     left = costs([*plain.values(), *beyond])
     without = min((left[name] for name in plain), default=nominal.cost)
     most = without - _relevant(max(without - residual.size, 0.0))
@@ -908,10 +930,8 @@ def _laws_at(
     def explained(flows: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return signatures of unit length, and how far the residual follows the flows."""
         moved = _moved(subject, having, _flow(port), np.split(np.array(flows), _ends_of(times), axis=1))
-        signatures = project_off(moved.T, basis).T
-        lengths, wholes = (np.linalg.norm(m, axis=1, keepdims=True) for m in (signatures, moved))
-        signatures = signatures / np.where(lengths > 1e-3 * wholes, lengths, np.inf)
-        return signatures, -(signatures @ residual)
+        signatures, _, amounts = _responses(moved, basis, residual)
+        return signatures, amounts
 
     of, unit = ("abs(rate)", f"{port.units[0]}/s") if port.domain in MECHANICAL else ("p", port.units[0])
     for name, law in _flow_laws(place):
@@ -926,17 +946,17 @@ def _laws_at(
         if len(sizes) > 1 or not names_in(of) <= columns.keys():
             continue
         x = _flows(of, columns, {})
-        low, high = float(x.min()), float(x.max())
+        reach = low, high = float(x.min()), float(x.max())
         if high <= low:
             continue
         thresholds = [low + share * (high - low) for share in _THRESHOLDS]
-        gated = [law.beyond(of, low, high, at, unit) for at in thresholds]
+        gated = [law.beyond(port.domain, of, reach, threshold=at, unit=unit) for at in thresholds]
         flows = [_flows(one.of(port.domain), columns, _started(one, place) | sizes[0]) for one in gated]
         signatures, amounts = explained(flows)
         drops = np.where((amounts > 0.0) | law.two_sided, amounts**2, 0.0)
         k = int(np.argmax(drops))
-        steady = law.steady(_idle(law, place, text, columns, x >= thresholds[k]))
-        best = steady.beyond(of, low, high, thresholds[k], unit)
+        idle = _idle(law, place, text, columns, x >= thresholds[k])
+        best = law.beyond(port.domain, of, reach, threshold=thresholds[k], unit=unit, fixed=idle)
         yield LawThere(f"{name}_beyond", best, place, float(drops[k]), signatures[k], beyond=name)
 
 

@@ -19,7 +19,9 @@ from fmuid.core.toml_tables import Table, convert, toml_text
 SIZES = "PMZVAFTLWN"
 SHARES = (0.01, 0.05, 0.2)  # sizes at which a law is tried, as shares of the nominal flow
 THRESHOLD = "beyond a threshold"
-SHARPEST = 0.005  # of the range of what a law depends on: how soon it acts beyond a threshold, at least
+_SHARPEST = 0.005  # of the range of what a law depends on: how soon it acts beyond a threshold, at least
+_FIRST = 0.04  # of that range: how soon it does where the search for that begins, about half a step of thresholds
+_FARTHER = 0.5  # of that range: how far outside a threshold may lie, as a model that lacks the law moves less
 
 
 class LawParameter(Table):
@@ -108,51 +110,49 @@ class Law(Table):
         if not port.differences or names_in(self.flow) <= {*port.quantities, *self.parameters}:
             return self
         used = set().union(*map(names_in, (self.of(port.domain), *(s.derivative for s in self.states.values()))))
-        parameters = {key: p for key, p in self.parameters.items() if key in used}
-        trials = [{k: v for k, v in trial.items() if k in used} for trial in self.trials or ()] or None
-        return msgspec.structs.replace(self, flow="", parameters=parameters, trials=trials)
+        return self._with(used, flow="")
 
-    def steady(self, keys: Collection[str]) -> Law:
-        """Return the law with some of its shapes fixed where they start."""
-        known = {key: f"({self.parameters[key].start})" for key in keys}
-        text = self.expression
-        by_domain = text if isinstance(text, str) else {d: _put_in(e, known) for d, e in text.items()}
-        trials = [{k: v for k, v in trial.items() if k not in known} for trial in self.trials or ()]
-        return msgspec.structs.replace(
-            self,
-            expression=_put_in(text, known) if isinstance(text, str) else by_domain,
-            parameters={key: p for key, p in self.parameters.items() if key not in known},
-            trials=trials or None,
-        )
-
-    def beyond(self, of: str, least: float, most: float, threshold: float, unit: str) -> Law:
-        """Return the law where what it depends on, `of`, is beyond a threshold, and no effect below it.
+    def beyond(
+        self,
+        domain: str,
+        of: str,
+        reach: tuple[float, float],
+        *,
+        threshold: float,
+        unit: str,
+        fixed: Collection[str] = (),
+    ) -> Law:
+        """Return the law in a domain where what it depends on is beyond a threshold, and no effect below it.
 
         Parameters
         ----------
-        of
-            In Modelica. It is between `least` and `most` in runs of a model without the law, which may move less.
+        of, reach
+            What it depends on, in Modelica, and its range in runs of a model without the law, which may move less.
         threshold
             Where the search for it begins.
+        fixed
+            Shapes of the law that stay where they start.
         """
+        least, most = reach
         width = most - least
-        text = self.expression
-        by_domain = {"": text} if isinstance(text, str) else text
-        shaped = {d: f"({e})*(0.5 + 0.5*tanh(({of} - threshold)/transition))" for d, e in by_domain.items()}
-        shape = {
-            "threshold": LawParameter(
-                repr(least - 0.5 * width), repr(most + 0.5 * width), start=repr(threshold), natural=True, unit=unit
-            ),
-            "transition": LawParameter(
-                repr(SHARPEST * width), repr(width), start=repr(8.0 * SHARPEST * width), natural=True, unit=unit
-            ),
-        }
-        return msgspec.structs.replace(
-            self,
-            words=f"{self.words} {THRESHOLD}",
-            expression=shaped[""] if isinstance(text, str) else shaped,
-            parameters={**self.parameters, **shape},
+        text = _put_in(self.of(domain), {key: f"({self.parameters[key].start})" for key in fixed})
+        farther, first = _FARTHER * width, _FIRST * width
+        here = LawParameter(
+            repr(least - farther), repr(most + farther), start=repr(threshold), natural=True, unit=unit
         )
+        soon = LawParameter(repr(_SHARPEST * width), repr(width), start=repr(first), natural=True, unit=unit)
+        law = self._with(self.parameters.keys() - {*fixed}, words=f"{self.words} {THRESHOLD}")
+        return msgspec.structs.replace(
+            law,
+            expression=f"({text})*(0.5 + 0.5*tanh(({of} - threshold)/transition))",
+            parameters={**law.parameters, "threshold": here, "transition": soon},
+        )
+
+    def _with(self, kept: Collection[str], **changes: str) -> Law:
+        """Return the law with some of its parameters, and trials of these."""
+        parameters = {key: p for key, p in self.parameters.items() if key in kept}
+        trials = [{k: v for k, v in trial.items() if k in kept} for trial in self.trials or ()] or None
+        return msgspec.structs.replace(self, parameters=parameters, trials=trials, **changes)
 
     def may_be_sized(self, sizes: Collection[str]) -> bool:
         """Return whether these sizes are all that the law's numbers depend on."""
