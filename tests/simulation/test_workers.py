@@ -25,7 +25,7 @@ from fmuid.simulation.pool import worker_process
 from fmuid.simulation.pool.remote import on_executor
 from fmuid.simulation.pool.workers import WorkerPool
 from fmuid.simulation.runners import in_process
-from fmuid.simulation.simulator import Task
+from fmuid.simulation.simulator import Simulator, Task
 
 TASK = Task(np.arange(301) * 1e-3, {"u": np.sin(np.arange(301) / 9)}, ("y", "x"))
 
@@ -129,6 +129,39 @@ def test_arrays_come_back_as_they_were_made(pool):
         for there, here in zip(both, (made, made[..., ::2] if made.ndim else made), strict=True):
             assert np.array_equal(there, here)
             assert there.flags.writeable
+
+
+class Member(Simulator):
+    """Waits until all `members` simulate, and predicts its process, and where that keeps what it is made of."""
+
+    variables = {}
+
+    def __init__(self, name, folder, members, inner):
+        self.name, self.folder, self.members, self.inner = name, folder, members, inner
+
+    @property
+    def affinity(self):
+        return self.name
+
+    def simulate(self, task, parameters):
+        (self.folder / self.name).touch()
+        while not all((self.folder / name).exists() for name in self.members):
+            time.sleep(0.001)
+        return np.array([os.getpid(), id(self.inner)])
+
+
+def test_what_one_process_remembers_is_simulated_there_again(tmp_path):
+    """What models share is sent there once."""
+    seen = []
+    with WorkerPool(2, time_limit=60.0) as pool:
+        inner = Member("inner", tmp_path, "", None)
+        for k, order in enumerate(("ab", "ba", "ab", "ba")):
+            folder = tmp_path / str(k)
+            folder.mkdir()
+            jobs = [(Member(name, folder, order, inner), TASK, {}) for name in order]
+            seen.append({name: tuple(out) for name, out in zip(order, pool.run(jobs), strict=True)})
+    assert all(one == seen[0] for one in seen)
+    assert seen[0]["a"][0] != seen[0]["b"][0]
 
 
 @pytest.mark.skipif("OMP_NUM_THREADS" in os.environ, reason="what the user sets stays")

@@ -162,7 +162,6 @@ class Segmented(Wrapped):
         self._pieces: OrderedDict[tuple[int, tuple[int, ...]], tuple[Task, list[_Piece]]] = OrderedDict()
         self._others: dict[int, Segmented] = {}
         self.missing: tuple[str, ...] = ()
-        self._begin: _Begin | None = None
         self._known: OrderedDict[bytes, FloatArray] = OrderedDict()
 
     @property
@@ -178,10 +177,12 @@ class Segmented(Wrapped):
     @property
     def token(self) -> str:
         """Identity of the model for fingerprints."""
-        token = f"{self.simulator.token} in segments of {self.length} of {self._seen}"
-        if self._begin is None:
-            return token
-        return f"{token} from {self._begin.digest.hex()} in {self._begin.origin.token}"
+        return f"{self.simulator.token} in segments of {self.length} of {self._seen}"
+
+    @property
+    def affinity(self) -> str:
+        """The measurement: states that fit it at a point serve all runs near this point."""
+        return self._seen
 
     @property
     def segments(self) -> int:
@@ -223,9 +224,12 @@ class Segmented(Wrapped):
         SimulationError
             A segment cannot be simulated.
         """
+        return self._begun(_Begin(self, task, parameters), task, parameters)
+
+    def _begun(self, begin: _Begin, task: Task, parameters: Mapping[str, float]) -> FloatArray:
         if self.missing:
             raise SimulationError(f"the model has no state '{self.missing[0]}' to begin a segment with")
-        cut, begin = self._layout(), self._begin or _Begin(self, task, parameters)
+        cut = self._layout()
         states = begin.origin.initial_states(begin.parameters, begin.task)
         outputs = np.empty((len(task.outputs) * (1 + len(task.along)), len(task.time)))
         for k, piece in enumerate(self._tasks(task)):
@@ -262,14 +266,12 @@ class Segmented(Wrapped):
             tangents[k, :, :, part] = self._sloped(piece, parameters, states, cut.scale)[1]
         return tangents.reshape(-1, n, len(self.task.time))
 
-    def from_states_at(self, origin: Segmented, task: Task, parameters: Mapping[str, float]) -> Segmented:
+    def from_states_at(self, origin: Segmented, task: Task, parameters: Mapping[str, float]) -> Simulator:
         """Return these segments, each starting from the states that fit in `origin` at a task and its parameters.
 
         Near that point, the prediction differs from the usual one only by what a change of the states explains.
         """
-        other = copy.copy(self)
-        other._begin = _Begin(origin, task, parameters)
-        return other
+        return _BegunElsewhere(self, _Begin(origin, task, parameters))
 
     def initial_states(self, parameters: Mapping[str, float], task: Task | None = None) -> FloatArray:
         """Return the initial states of the segments, (segments, states), in a task or the whole run.
@@ -573,6 +575,28 @@ class Segmented(Wrapped):
         causes = [f"the initial '{s}'" for s in self.states] + [f"'{u}'" for u in driven]
         output = self.task.outputs[int(shown[row])] if len(shown) else ""
         return Growth(float(np.max(worst, initial=0.0)), output, causes[int(column)], length, duration)
+
+
+class _BegunElsewhere(Wrapped):
+    """Segments of a model that begin in the states that fit elsewhere."""
+
+    def __init__(self, simulator: Segmented, begin: _Begin) -> None:
+        self.simulator: Segmented = simulator
+        self._begin = begin
+
+    @property
+    def token(self) -> str:
+        """Identity of the model for fingerprints."""
+        return f"{self.simulator.token} from {self._begin.digest.hex()} in {self._begin.origin.token}"
+
+    @property
+    def affinity(self) -> str:
+        """The measurement."""
+        return self.simulator.affinity
+
+    def simulate(self, task: Task, parameters: Mapping[str, float]) -> FloatArray:
+        """Return the concatenated predictions of the segments; see `Segmented.simulate`."""
+        return self.simulator._begun(self._begin, task, parameters)
 
 
 def _range(values: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -239,6 +239,11 @@ class Simulator(ABC):
     def nuisances(self) -> int:
         """Number of unknowns that a run is fitted with in addition to the parameters."""
         return 0
+
+    @property
+    def affinity(self) -> Hashable:
+        """What one process should simulate, as it remembers what serves other runs of it; None if it does not."""
+        return None
 
     def differentiates(self, names: Collection[str]) -> bool:
         """Return whether runs are differentiated exactly with respect to `names` (see `Task.along`)."""

@@ -79,7 +79,7 @@ def _serve(connection: Channel, folder: Path) -> None:
             kind, *content = pickle.loads(message)
             if kind == HOLD:
                 number, held = content
-                kept[number] = unpacked(held)
+                kept[number] = unpacked(held, kept)
                 begun.add(-1)
                 continue
             if kind == JOB:

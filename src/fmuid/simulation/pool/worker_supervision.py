@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -84,13 +84,17 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Call:
-    """One evaluation: its message, the objects that the worker needs first, and its future."""
+    """One evaluation: its message, the objects that the worker needs first, its future, and its `affinity`.
+
+    Calls of one affinity go to one worker, unless another one is idle.
+    """
 
     message: bytes
     holds: tuple[int, ...]
     future: Future[Any]
     name: str
     parameters: Mapping[str, float]
+    affinity: Hashable = None
     retried: bool = False
 
 
@@ -132,6 +136,7 @@ class Supervisor:
         self._lock = threading.Lock()
         self._pending: deque[Call] = deque()
         self._team: list[Worker] = []
+        self._homes: dict[Hashable, Worker] = {}  # by affinity
         self._failed_starts = 0
         self._weighed = 0.0  # time of the last check of the workers' memory
         self._closing = self._abandoning = False
@@ -241,17 +246,27 @@ class Supervisor:
 
     def _next(self, worker: Worker, depth: int) -> Call | None:
         with self._lock:
-            while self._pending:
-                call = self._pending[0]
-                if call.retried and (worker.done or depth):  # needs a new worker
-                    return None
+            while (place := self._choice(worker, depth)) is not None:
+                call = self._pending[place]
                 # A busy worker does not read, so only messages that fit into the pipe together may be sent to it.
                 if depth * len(call.message) > _SMALL or (depth and not worker.held.issuperset(call.holds)):
                     return None
-                self._pending.popleft()
+                del self._pending[place]
                 if call.future.running() or call.future.set_running_or_notify_cancel():
+                    if call.affinity is not None:
+                        self._homes[call.affinity] = worker
                     return call
         return None
+
+    def _choice(self, worker: Worker, depth: int) -> int | None:
+        """Return the place of the pending call that a worker should have next: the last one if it would be idle."""
+        if not self._pending or (self._pending[0].retried and (worker.done or depth)):  # that needs a new worker
+            return None
+        for place, call in enumerate(self._pending):
+            home = self._homes.get(call.affinity)
+            if (home is worker or home not in self._team) and not (call.retried and place):
+                return place
+        return None if depth else len(self._pending) - 1
 
     def _taken(self, worker: Worker, call: Call) -> list[bytes]:
         """Give a worker a call; return the messages that it needs."""

@@ -16,18 +16,28 @@ import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Executor, Future, as_completed, wait
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from fmuid.core.errors import FmuidError
 from fmuid.simulation.pool import worker_process
-from fmuid.simulation.pool.parcels import Parcel, name_of, pickled
+from fmuid.simulation.pool.parcels import Parcel, name_of, pickled, referring
 from fmuid.simulation.pool.worker_supervision import Call, Limits, Supervisor, leave_if_starting
 from fmuid.simulation.runners import Heard, Job, Outcome, outcome_of
 from fmuid.simulation.simulator import Simulator, Task
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """An object that workers keep under a number, and those that it refers to; kept: its id is not reused."""
+
+    number: int
+    needs: tuple[int, ...]
+    thing: Any
 
 
 class WorkerPool(Executor):
@@ -81,7 +91,7 @@ class WorkerPool(Executor):
         )
         self._supervisor = Supervisor(self.workers, limits)
         self._lock = threading.Lock()
-        self._objects: dict[int, tuple[int, Any]] = {}  # id -> number, object (kept so that the id is not reused)
+        self._held: dict[int, _Held] = {}  # by id of the object
         self._numbers = itertools.count()
 
     def run(self, jobs: Sequence[Job], heard: Heard | None = None) -> list[Outcome]:
@@ -128,21 +138,30 @@ class WorkerPool(Executor):
         self.shutdown(cancel_futures=exc_type is not None)
 
     def _call(self, simulator: Simulator | Parcel, task: Task | Parcel, parameters: Mapping[str, float]) -> Call:
-        numbers = self._hold(simulator), self._hold(task)
-        message = pickled((worker_process.JOB, *numbers, dict(parameters)))
-        return Call(message, numbers, Future(), name_of(simulator), parameters)
+        both = self._hold(simulator), self._hold(task)
+        message = pickled((worker_process.JOB, *(held.number for held in both), dict(parameters)))
+        needs = tuple(dict.fromkeys(number for held in both for number in (*held.needs, held.number)))
+        affinity = simulator.affinity if isinstance(simulator, Simulator) else None
+        return Call(message, needs, Future(), name_of(simulator), parameters, affinity)
 
-    def _hold(self, thing: Any) -> int:
+    def _hold(self, thing: Any) -> _Held:
         """Give `thing` a number; workers receive it once."""
         with self._lock:
-            if id(thing) in self._objects:
-                return self._objects[id(thing)][0]
-        content = thing.content if isinstance(thing, Parcel) else pickled(thing)
+            if id(thing) in self._held:
+                return self._held[id(thing)]
+        inside: list[_Held] = []
+
+        def hold(part: Any) -> int:
+            inside.append(self._hold(part))
+            return inside[-1].number
+
+        content = thing.content if isinstance(thing, Parcel) else referring(thing, hold)
+        needs = tuple(dict.fromkeys(number for part in inside for number in (*part.needs, part.number)))
         with self._lock:
             number = next(self._numbers)
             self._supervisor.messages[number] = pickled((worker_process.HOLD, number, content))
-            self._objects[id(thing)] = number, thing
-        return number
+            self._held[id(thing)] = _Held(number, needs, thing)
+            return self._held[id(thing)]
 
     def _enqueue(self, calls: list[Call]) -> list[Future[Any]]:
         self._supervisor.enqueue(calls)
