@@ -134,10 +134,12 @@ def test_arrays_come_back_as_they_were_made(pool):
 class Member(Simulator):
     """Waits until all `members` simulate, and predicts its process, and where that keeps what it is made of."""
 
-    variables = {}
-
     def __init__(self, name, folder, members, inner):
         self.name, self.folder, self.members, self.inner = name, folder, members, inner
+
+    @property
+    def variables(self):
+        return {}
 
     @property
     def affinity(self):

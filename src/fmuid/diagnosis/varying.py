@@ -331,7 +331,7 @@ def scored(
     groups = []
     for having, every in (pair for pair in pairs[: 2 * _MOST] if _largest(pair[1]) >= least):
         by_source = [[s for s in every if s.source is source] for source in dict.fromkeys(s.source for s in every)]
-        shaped = [s for of in by_source for s in _shaped(subject, having, of, basis=basis, residual=residual)]
+        shaped = [s for of in by_source for s in _with_shapes(subject, having, of, basis=basis, residual=residual)]
         groups.append(_open(shaped, beyond))
     groups.sort(key=_largest, reverse=True)
     beyond_noise = _beyond_noise(subject, nominal, basis, [s.signature for group in groups for s in group])
@@ -675,7 +675,7 @@ def _largest(scored: Sequence[Scored]) -> float:
     return max(s.drop for s in scored)
 
 
-def _shaped(
+def _with_shapes(
     subject: Subject, having: Sequence[Setup], every: Sequence[Scored], *, basis: FloatArray, residual: FloatArray
 ) -> list[Scored]:
     """Return laws over one source at the shapes that explain most; else trials would be compared instead of laws.

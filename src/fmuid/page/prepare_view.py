@@ -10,6 +10,7 @@ from nicegui import run, ui
 
 from fmuid.campaigns.campaign_toml import SIGNAL_TIMINGS
 from fmuid.core.errors import FmuidError
+from fmuid.core.immutable import FloatArray
 from fmuid.page.elements import (
     Choice,
     Input,
@@ -57,6 +58,7 @@ class PrepareView:
         self._busy = False
         self._run = next((r.id for r in workspace.runs if not r.repeats_another), "")
         self._dragged: str | None = None
+        self._pictures: dict[str, tuple[ui.html, tuple[str, FloatArray, FloatArray]]] = {}
         self._updates: list[Callable[[Mapping[tuple[Kind, str], list[Message]]], None]] = []
         self._places: set[tuple[Kind, str]] = set()
         self._shape: object = None
@@ -111,6 +113,7 @@ class PrepareView:
         self._shape = self._structure()
         self._updates.clear()
         self._places.clear()
+        self._pictures.clear()
         self._main.clear()
         with self._main:
             self._status = text("p", "", "headline", role="status")
@@ -229,7 +232,7 @@ class PrepareView:
             with element("td", data_label="Measured, simulated"):
                 measured = ("measured", column.time, column.values)
                 picture = ui.html(curve(f"{column.name} over time", [measured]), sanitize=False)
-                self._pictures = {**getattr(self, "_pictures", {}), column.name: (picture, measured)}
+                self._pictures[column.name] = picture, measured
             with element("td", "wide", data_label="Variable of the model"):
                 choice = Choice(
                     f"Variable for {column.name}",

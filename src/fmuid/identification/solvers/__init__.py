@@ -98,8 +98,9 @@ def choose(problem: Problem) -> tuple[str, str]:
 
 def _local(solver: Solver, problem: Problem) -> Solver:
     """Return the local solver that continues from where `solver` ended: itself, unless it is a global one."""
-    globally = solver.name in ALGORITHMS and ALGORITHMS[solver.name].finite_bounds
-    if not globally or "evaluations" in getattr(solver, "options", {}):
+    if not isinstance(solver, NloptSolver) or "evaluations" in solver.options:
+        return solver
+    if not ALGORITHMS[solver.name].finite_bounds:
         return solver
     if problem.constraints or problem.combination.kind in ("min_max", "lexicographic"):
         return NloptSolver("cobyla")

@@ -259,7 +259,7 @@ class Supervisor:
         return None
 
     def _choice(self, worker: Worker, depth: int) -> int | None:
-        """Return the place of the pending call that a worker should have next: the last one if it would be idle."""
+        """Return the place of the pending call that a worker should have next; for an idle one, the last."""
         if not self._pending or (self._pending[0].retried and (worker.done or depth)):  # that needs a new worker
             return None
         for place, call in enumerate(self._pending):
