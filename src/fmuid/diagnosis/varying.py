@@ -630,12 +630,13 @@ def _at(
     if not any(map(len, rows)):
         return
     moved = _moved(subject, having, name, np.split(np.concatenate(rows), ends, axis=1))
-    signatures, lengths, amounts = _responses(moved, basis, residual)
-    shown, lengths = lengths > 0.0, np.where(lengths > 0.0, lengths, 1.0)
+    responses = _responses(moved, basis, residual)
+    shown = responses.lengths > 0.0
+    lengths = np.where(shown, responses.lengths, 1.0)
     begin = 0
     for (law_name, of_law), changes in zip(trials.items(), rows, strict=True):
         law, part = laws()[law_name], slice(begin, begin + len(of_law))
-        begin, amount, length = part.stop, amounts[part], lengths[part]
+        begin, amount, length = part.stop, responses.amounts[part], lengths[part]
         fitting, drops = amount / length, np.where((amount > 0.0) | law.two_sided, amount**2, 0.0)
         if not _linear(law) or (sized and power != 1.0):  # another size is another shape
             fitting = np.clip(fitting, *_ABOUT_ONE)
@@ -644,26 +645,38 @@ def _at(
             continue
         k = int(np.argmax(np.where(shown[part], drops, -np.inf)))
         change = float(abs(fitting[k]) * np.abs(changes[k]).max())
-        coefficient, signature = having[0].coefficients[name], signatures[part][k]
+        coefficient, signature = having[0].coefficients[name], responses.signatures(part.start + k)
         yield Scored(
             coefficient, source, law_name, of_law[k], float(drops[k]), change, signature, float(fitting[k]), power
         )
 
 
-def _responses(
-    moved: FloatArray, basis: FloatArray, residual: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (R, M) signatures of unit length, their (R,) lengths, and how far the residual follows each.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Responses:
+    """(R, M) changes of the residual beyond what the parameters, whose responses have a `basis`, imitate of them.
 
-    All are zero where the parameters imitate nearly all that (R, M) changes of the residual are.
+    Their (R,) lengths and how far the residual follows each are zero where the parameters imitate nearly all.
     """
-    signatures = project_off(moved.T, basis).T
-    lengths, wholes = (np.linalg.norm(m, axis=1) for m in (signatures, moved))
+
+    moved: FloatArray
+    basis: FloatArray
+    within: FloatArray
+    lengths: FloatArray
+    amounts: FloatArray
+
+    def signatures(self, rows: int | slice) -> FloatArray:
+        """Return some of the changes, without that part, with unit length."""
+        lengths = self.lengths[rows]
+        beyond = self.moved[rows] - self.within[rows] @ self.basis.T
+        return np.asarray(beyond / np.where(lengths > 0.0, lengths, np.inf)[..., None])
+
+
+def _responses(moved: FloatArray, basis: FloatArray, residual: FloatArray) -> _Responses:
+    within, wholes = moved @ basis, np.linalg.norm(moved, axis=1)
+    lengths = np.sqrt(np.maximum(wholes**2 - np.sum(within**2, axis=1), 0.0))
     lengths = np.where(lengths > _SHOWN * wholes, lengths, 0.0)
-    units = np.where(lengths > 0.0, lengths, np.inf)
-    amounts = -(signatures @ residual) / units
-    signatures /= units[:, None]
-    return signatures, lengths, amounts
+    follows = within @ (basis.T @ residual) - moved @ residual
+    return _Responses(moved, basis, within, lengths, follows / np.where(lengths > 0.0, lengths, np.inf))
 
 
 def _acting(changes: FloatArray, power: float) -> FloatArray:
@@ -930,8 +943,8 @@ def _laws_at(
     def explained(flows: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return signatures of unit length, and how far the residual follows the flows."""
         moved = _moved(subject, having, _flow(port), np.split(np.array(flows), _ends_of(times), axis=1))
-        signatures, _, amounts = _responses(moved, basis, residual)
-        return signatures, amounts
+        responses = _responses(moved, basis, residual)
+        return responses.signatures(slice(None)), responses.amounts
 
     of, unit = ("abs(rate)", f"{port.units[0]}/s") if port.domain in MECHANICAL else ("p", port.units[0])
     for name, law in _flow_laws(place):

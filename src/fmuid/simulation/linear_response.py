@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from fmu_build.model import CompiledModel, Variable
@@ -67,8 +68,16 @@ class LinearResponse:
         )  # (K, q, R)
         if len(self.knots) == len(self.time):
             return responses.transpose(2, 1, 0)
+        before, share = self._between
+        here, there = (responses.transpose(2, 1, 0)[..., k] for k in (before, before + 1))
+        return np.asarray(here + share * (there - here))
+
+    @cached_property
+    def _between(self) -> tuple[NDArray[np.intp], FloatArray]:
+        """The knot before each sample, and the share of the way from it to the next one."""
         at = self.time[self.knots.astype(np.intp)]
-        return np.array([[np.interp(self.time, at, row) for row in one] for one in responses.transpose(2, 1, 0)])
+        before = np.clip(np.searchsorted(at, self.time, side="right") - 1, 0, len(at) - 2)
+        return before, (self.time - at[before]) / np.diff(at)[before]
 
     @cached_property
     def _blocks(self) -> tuple[FloatArray, FloatArray]:
@@ -193,13 +202,12 @@ class Linearised:
                     p[v.location.index] = v.location.sign * given[v.name]
         d = np.array(f["dependent"](p)).ravel()
         z = np.array(f["start"](p, d)[1]).ravel()
-        wide = [np.repeat(a[:, None], n, axis=1) for a in (p, d, z, z)]
         environment = [
             time[knots][None, :],
             rows("x", m.n_x),
             rows("u", m.n_u),
-            *wide,
-            np.zeros((m.n_m, n)),
+            *(a[:, None] for a in (p, d, z, z)),
+            np.zeros((m.n_m, 1)),
             rows("y", m.n_y),
         ]
         if m.n_m:
@@ -220,15 +228,15 @@ class Linearised:
         m, f = self._model, self._model.functions
         n, nx, ny = len(knots), m.n_x, m.n_y
         _, jacobian, _ = _matrices(f["jacobian"], environment)  # (n, nx + ny, nx + ny)
-        zeros = [np.zeros((size, n)) for size in (m.n_z, m.n_z)] if m.n_z else []
+        zeros = [np.zeros((size, 1)) for size in (m.n_z, m.n_z)] if m.n_z else []
         moved, linearisations = np.zeros((n, nx + ny, len(self.parameters))), []
         powers = np.ones(len(self.parameters))
 
         def moves(at: FloatArray, seed: FloatArray) -> tuple[list[FloatArray], FloatArray]:
             computed = (at, np.array(f["dependent"](at)).ravel())
-            place = [*environment[:3], *(np.repeat(a[:, None], n, axis=1) for a in computed), *environment[5:]]
+            place = [*environment[:3], *(a[:, None] for a in computed), *environment[5:]]
             followers = np.array(f["dependent_partials"](at, seed)).ravel()
-            along = [np.repeat(a[:, None], n, axis=1) for a in (seed, followers)]
+            along = [a[:, None] for a in (seed, followers)]
             return along, _evaluated(f["move_partials"], [*place, *along, *zeros])[0].T
 
         for j, name in enumerate(self.parameters):
@@ -245,7 +253,7 @@ class Linearised:
             follow = -np.linalg.solve(jacobian[:, nx:, nx:], right)
         a = jacobian[:, :nx, :nx] + jacobian[:, :nx, nx:] @ follow[:, :, :nx]
         b = moved[:, :nx] + jacobian[:, :nx, nx:] @ follow[:, :, nx:]
-        seeds = [np.zeros((size, n)) for size in (nx, m.n_u, m.n_p, m.n_d, ny)]
+        seeds = [np.zeros((size, 1)) for size in (nx, m.n_u, m.n_p, m.n_d, ny)]
 
         def shown(which: int, entry: int) -> FloatArray:
             along = list(seeds)
@@ -392,11 +400,13 @@ def _power(moved: FloatArray, farther: FloatArray) -> float:
 
 
 def _evaluated(function: Any, arguments: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the (size, N) values of a function's vectors for (size, N) columns of its arguments."""
+    """Return the (size, N) values of a function's vectors for (size, N) columns of its arguments.
+
+    An argument that does not vary has one column: CasADi repeats it faster than it reads a wide one.
+    """
     import casadi as ca  # only models with a source are linearised
 
-    n = arguments[0].shape[1]
-    results = function.map(n)(*(ca.DM(a) if a.size else ca.DM(a.shape[0], n) for a in arguments))
+    results = function(*(ca.DM(a) if a.size else ca.DM(*a.shape) for a in arguments))
     return [np.asarray(one.full()) for one in (results if isinstance(results, tuple | list) else [results])]
 
 
