@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Executor, Future, as_completed, wait
 from dataclasses import dataclass
 from types import TracebackType
@@ -33,11 +33,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Held:
-    """An object that workers keep under a number, and those that it refers to; kept: its id is not reused."""
+    """An object that workers keep under a number, after those that it `needs`; kept: its id is not reused."""
 
     number: int
     needs: tuple[int, ...]
     thing: Any
+
+
+def _numbers(objects: Iterable[_Held]) -> tuple[int, ...]:
+    """Return the numbers of objects, each after those of what it needs."""
+    return tuple(dict.fromkeys(number for held in objects for number in (*held.needs, held.number)))
 
 
 class WorkerPool(Executor):
@@ -92,7 +97,7 @@ class WorkerPool(Executor):
         self._supervisor = Supervisor(self.workers, limits)
         self._lock = threading.Lock()
         self._held: dict[int, _Held] = {}  # by id of the object
-        self._numbers = itertools.count()
+        self._count = itertools.count()
 
     def run(self, jobs: Sequence[Job], heard: Heard | None = None) -> list[Outcome]:
         """Simulate `jobs` in the workers; return outcomes in order, a `SimulationError` for a failed job.
@@ -140,9 +145,8 @@ class WorkerPool(Executor):
     def _call(self, simulator: Simulator | Parcel, task: Task | Parcel, parameters: Mapping[str, float]) -> Call:
         both = self._hold(simulator), self._hold(task)
         message = pickled((worker_process.JOB, *(held.number for held in both), dict(parameters)))
-        needs = tuple(dict.fromkeys(number for held in both for number in (*held.needs, held.number)))
         affinity = simulator.affinity if isinstance(simulator, Simulator) else None
-        return Call(message, needs, Future(), name_of(simulator), parameters, affinity)
+        return Call(message, _numbers(both), Future(), name_of(simulator), parameters, affinity)
 
     def _hold(self, thing: Any) -> _Held:
         """Give `thing` a number; workers receive it once."""
@@ -156,12 +160,11 @@ class WorkerPool(Executor):
             return inside[-1].number
 
         content = thing.content if isinstance(thing, Parcel) else referring(thing, hold)
-        needs = tuple(dict.fromkeys(number for part in inside for number in (*part.needs, part.number)))
         with self._lock:
-            number = next(self._numbers)
-            self._supervisor.messages[number] = pickled((worker_process.HOLD, number, content))
-            self._held[id(thing)] = _Held(number, needs, thing)
-            return self._held[id(thing)]
+            held = _Held(next(self._count), _numbers(inside), thing)
+            self._supervisor.messages[held.number] = pickled((worker_process.HOLD, held.number, content))
+            self._held[id(thing)] = held
+        return held
 
     def _enqueue(self, calls: list[Call]) -> list[Future[Any]]:
         self._supervisor.enqueue(calls)
