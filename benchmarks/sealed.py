@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.blind.score import in_words
@@ -61,11 +62,12 @@ def diagnose_case(template: Path | None, measurements: Path, target: Path) -> st
     Without a template, by the campaign next to it.
     """
     from fmuid.campaigns.campaign_toml import load_campaign
-    from fmuid.diagnosis_pipeline import answer_of, diagnose
+    from fmuid.diagnosis_pipeline import FILE_NAME, diagnose
 
-    campaign = load_campaign(template or measurements.parent, measurements=measurements)
-    outcome = diagnose(campaign, workers=0)
-    answer = answer_of(outcome)
+    with TemporaryDirectory() as out:
+        diagnose(load_campaign(template or measurements.parent, measurements=measurements), workers=0, out=out)
+        answer = json.loads(Path(out, FILE_NAME).read_text())
+    del answer["campaign"]
     write_atomically(target, json.dumps(answer, indent=2, allow_nan=False) + "\n")
     return in_words(answer)
 

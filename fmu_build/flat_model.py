@@ -7,16 +7,18 @@ translates like any other.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 from typing import Literal as Choice
 
 from fmu_build.errors import ModelicaError
 from fmu_build.model import Experiment
 from fmu_build.syntax import (
+    ArrayOf,
     Assert,
     Binary,
     Call,
@@ -363,6 +365,13 @@ def variable(name: str) -> Reference:
 def number(value: float) -> Literal:
     """Make a literal."""
     return Literal(ADDED, value)
+
+
+def numbers(values: float | Sequence[Any]) -> Expression:
+    """Make literals of a number, or of nested lists of numbers."""
+    if isinstance(values, Sequence):
+        return ArrayOf(ADDED, tuple(numbers(v) for v in values))
+    return number(values)
 
 
 def flat_name(reference: Reference) -> str:

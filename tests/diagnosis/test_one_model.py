@@ -59,9 +59,14 @@ class Rig:
         return fitted
 
 
-def recorded(name: str, folder: Path, stages: str, shown: Sequence[Mapping[str, np.ndarray]]) -> Rig:
-    """Write a campaign of two experiments whose outputs are those shown and noise, and return its rig."""
-    signal, of_input, outputs, size, scale, parameter, value = INPUTS[name]
+def recorded(
+    name: str, folder: Path, stages: str, shown: Sequence[Mapping[str, np.ndarray]], like: str | None = None
+) -> Rig:
+    """Write a campaign of two experiments whose outputs are those shown and noise, and return its rig.
+
+    Its inputs and outputs are those of a rig that it is like.
+    """
+    signal, of_input, outputs, size, scale, parameter, value = INPUTS[like or name]
     text = CAMPAIGN.format(source=RIGS, rig=name, name=parameter, value=value, low=0.5 * value, high=2.0 * value)
     (folder / "campaign.toml").write_text(text + stages)
     rng, runs = np.random.default_rng(0), {}
@@ -114,6 +119,28 @@ def test_the_corrected_model_is_the_fitted_one(rigs, rig, law, tmp_path):
     if not effects:
         pytest.skip("the law is of another domain")
     differs, moved = written_differs(rigs(rig), effects[0], tmp_path / "corrected")
+    assert moved > 0.0
+    assert differs < 0.05
+
+
+TIED = """
+[parameters.d]
+start = 0.02
+lower = 0
+upper = 1
+[effects]
+nominal = ["rotor.J"]
+tie = { "table[2:3,2]" = "d", "dashpot.least" = "2 * d" }
+"""
+
+
+def test_elements_of_a_table_and_computed_values_are_in_the_source(rigs, tmp_path):
+    del rigs  # its cache is used
+    rig = recorded("Damped", tmp_path, TIED, [{}, {}], like="TwoMass")
+    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected")
+    source = (tmp_path / "corrected" / "DampedCorrected.mo").read_text()
+    assert "{{0.0, 0.001}, {10.0, 0.02}, {20.0, 0.02}}" in source
+    assert "'dashpot.least'(unit = \"N.m.s/rad\") = 0.04" in source
     assert moved > 0.0
     assert differs < 0.05
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fmu_build.errors import ModelicaError
-from fmu_build.flat_model import FlatModel, constant, number
+from fmu_build.flat_model import FlatModel, numbers
 from fmu_build.model_ports import places
 from fmu_build.modelica_text import modelica_text
 from fmuid.core.campaign import SEPARATOR, Campaign, ModelSource, ModelSpec, segments_in_toml, without_owner
@@ -39,6 +39,7 @@ from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_and_property
 from fmuid.simulation.signal_model import COMMUTE
+from fmuid.simulation.simulator import Simulator
 
 FOLDER, EFFECTS = "corrected", "effects.toml"
 _HEAD = """\
@@ -176,8 +177,11 @@ def _built_again(campaign: Campaign, written: Corrected) -> Campaign | None:
             fmu = built_model(source)
             variables = load_model(replace(spec, fmu=fmu, source=source)).variables
             models[setup] = replace(_with_names(spec, _quoted(variables)), fmu=fmu, source=source)
-            inside = [n for n in parameters if models[setup].variable(n) in variables]
-            parameters = {n: p for n, p in parameters.items() if n not in inside or p.per != "campaign"}
+            settable = {n for n, v in variables.items() if v.causality == "parameter"}
+            inside = [
+                n for n, p in parameters.items() if p.per == "campaign" and models[setup].variable(n) in settable
+            ]
+            parameters = {n: p for n, p in parameters.items() if n not in inside}
     return replace(campaign, models=models, parameters=parameters) if models != campaign.models else None
 
 
@@ -242,7 +246,7 @@ class _Document:
             if file in files:
                 continue
             try:
-                write_atomically(file, self._modelica(source, flat, starts[setup]))
+                write_atomically(file, self._modelica(source, flat, models[setup], starts[setup]))
                 files.append(file)
             except ModelicaError as error:
                 self.notes.append(f"no Modelica source is written: {error}")
@@ -291,13 +295,18 @@ class _Document:
         self.sources[setup] = source, flat_model(source)
         return replace(model, source=source, fmu=built_model(source))
 
-    def _modelica(self, source: ModelSource, flat: FlatModel, starts: Mapping[str, float]) -> str:
+    def _modelica(
+        self, source: ModelSource, flat: FlatModel, model: Simulator, starts: Mapping[str, float]
+    ) -> str:
         """Return the source of a model with the effects, and the values found."""
+        settable = {n: v.start for n, v in model.variables.items() if v.causality == "parameter"}
+        known = {n: starts.get(n, start) for n, start in settable.items()}
         variables = dict(flat.variables)
-        for name, value in starts.items():
-            v = variables.get(name)
-            if v is not None and not v.shape and v.variability == "parameter" and constant(v.binding) is not None:
-                variables[name] = replace(v, binding=number(value))
+        for name, v in flat.variables.items():
+            indices = [",".join(str(k + 1) for k in at) for at in np.ndindex(v.shape)]
+            values = {n: known.get(n) for at in indices for n in [f"{name}[{at}]" if at else name]}
+            if any(n in starts for n in values) and None not in values.values():
+                variables[name] = replace(v, binding=numbers(np.reshape([*values.values()], v.shape).tolist()))
         flat, blocks = with_table_blocks(
             replace(flat, variables=variables), [tuple(u.name for u in e.unknowns) for e in self.effects]
         )

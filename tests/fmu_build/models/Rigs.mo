@@ -72,6 +72,23 @@ package Rigs "Plain models of rigs that are no actuator"
   model Relative "The same with the twist as a state, as the Standard Library's SpringDamper has it"
     extends TwoMass(shaft(phi_rel(stateSelect = StateSelect.prefer)));
   end Relative;
+  model Dashpot "Damping that depends on speed as the rows of a table say"
+    Flange a;
+    parameter Real table[3, 2] = [0, 1e-3; 10, 1e-3; 20, 1e-3] "Rows of speed in rad/s and damping in N.m.s/rad";
+    parameter Real least(unit = "N.m.s/rad") = 2*0.5e-3;
+    Real w(unit = "rad/s");
+  equation
+    w = der(a.phi);
+    a.tau = w*(least + table[1, 2] + (table[2, 2] - table[1, 2])*min(1, abs(w)/table[2, 1])
+      + (table[3, 2] - table[2, 2])*max(0, min(1, (abs(w) - table[2, 1])/(table[3, 1] - table[2, 1]))));
+  end Dashpot;
+  model Damped "The same with damping by a table"
+    extends TwoMass;
+    parameter Real table[3, 2] = [0, 1e-3; 10, 1e-3; 20, 1e-3];
+    Dashpot dashpot(table = table);
+  equation
+    connect(load.b, dashpot.a);
+  end Damped;
   model Geared "A gear between two inertias"
     extends TwoMass;
     output Real tau_table(unit = "N.m");
