@@ -127,8 +127,8 @@ class Kink(Simulator):
 def test_an_answer_that_can_follow_when_it_is_refitted_is_not_far_away() -> None:
     """Seen from a kink at 0.05, one at 0.5 is far away, but nothing says that it is not at 0.5."""
     kink, rng = Kink(), np.random.default_rng(5)
-    task = Task(DT * np.arange(200), {"u": 0.04 * np.sin(np.arange(200) / 9.0)}, ("y",))
-    runs = kink.simulate(task, {}) + 1e-3 * rng.standard_normal((3, 200))
+    task = Task(DT * np.arange(60), {"u": 0.04 * np.sin(np.arange(60) / 9.0)}, ("y",))  # a parameter costs little
+    runs = kink.simulate(task, {}) + 1e-3 * rng.standard_normal((3, 60))
     model = CampaignModel((replace(measured_case("weak", kink, task, {"y": runs}), setup="bench"),))
     known = Effect("known", "known", "law", (Unknown("a", 0.0, 0.0, 9.0, 1e-3),), {"a": 0.0}, ({"a": 1.0},))
     place = (Unknown("k", 0.0, 0.0, 9.0, 1e-3), Unknown("c", 0.05, 0.0, 1.0, 1e-3))

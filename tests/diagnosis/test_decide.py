@@ -251,7 +251,7 @@ def test_odds_count_for_less_if_neither_answer_fits_as_it_would_if_it_were_true(
     assert decide.log_odds(a, b, RECORDED) == pytest.approx(0.5 * 36.0 * 36.0 / apart**2)
 
 
-@pytest.mark.parametrize(("odds", "open_"), [(19.9, True), (20.1, False)])
+@pytest.mark.parametrize(("odds", "open_"), [(8.9, True), (9.1, False)])
 def test_an_answer_stays_open_unless_the_odds_against_it_are_long(odds, open_):
     best = fitted(("best",), 0.0, residuals=[[0.0], [0.0]])
     # Costs differ by the distance squared, as they do on average if the best one is true.

@@ -582,14 +582,17 @@ def moved(subject: Subject, fitted: Fitted, exchanged: Mapping[str, Score]) -> F
     return fit_effects(subject, effects, [start], rival=fitted.fit.cost) if np.isfinite(cost) else None
 
 
-def led_out(subject: Subject, added: Fitted, score: Score) -> Fitted:
-    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum."""
+def led_out(subject: Subject, added: Fitted, score: Score, rival: float = np.inf) -> Fitted:
+    """Return a better fit than `added`, to which the scored effect was added, if it is in a local minimum.
+
+    No refit is made that would end too far above the cost of its rival for an answer.
+    """
     by_id = subject.by_id
     effect, effects = by_id[score.effect], [by_id[name] for name in added.effects]
     shapes = {tuple(trial[name] for name in effect.shapes if name in trial): trial for trial in score.trials}
     unbent = {**added.fit.values, **subject.starts, **effect.neutral}
-    extended = over_horizons(subject, effects, added, unbent, list(shapes.values()))
-    return escaped(subject, effects, extended)
+    extended = over_horizons(subject, effects, added, unbent, list(shapes.values()), rival=rival)
+    return escaped(subject, effects, extended, rival)
 
 
 def over_horizons(
@@ -598,6 +601,8 @@ def over_horizons(
     fitted: Fitted,
     start: Mapping[str, float],
     trials: Sequence[Mapping[str, float]] = (),
+    *,
+    rival: float = np.inf,
 ) -> Fitted:
     """Return a better fit than `fitted`, if that leaves a gap and drifts, and growing horizons lead to one.
 
@@ -606,21 +611,26 @@ def over_horizons(
     if fitted.gap <= GAP_THAT_MATTERS or not drifts(subject, fitted):
         return fitted
     near = approached(subject, fitted.fit.unknowns, start, trials)
-    return fitted if near is None else _if_better(subject, effects, fitted, [near])
+    return fitted if near is None else _if_better(subject, effects, fitted, [near], rival)
 
 
 def _if_better(
-    subject: Subject, effects: Sequence[Effect], fitted: Fitted, starts: Sequence[Mapping[str, float]]
+    subject: Subject,
+    effects: Sequence[Effect],
+    fitted: Fitted,
+    starts: Sequence[Mapping[str, float]],
+    rival: float,
 ) -> Fitted:
     """Refit from the best of the `starts` if a step of the nominal parameters from there promises a better fit."""
     start, promised = _best_start(subject, starts, nominal_basis(fitted.fit, subject.observed))
-    if fitted.fit.cost <= about(promised):
+    most = min(fitted.fit.cost, _HOPELESS * rival)
+    if most <= about(promised):
         return fitted
-    again = fit_effects(subject, effects, [start], most=fitted.fit.cost)
+    again = fit_effects(subject, effects, [start], most=most)
     return fitted if again is None or fitted.fit.cost <= about(again.fit.cost) else again
 
 
-def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitted:
+def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted, rival: float = np.inf) -> Fitted:
     """Return a better fit of the same `effects`, if a nominal parameter is in a local minimum; otherwise `fitted`.
 
     A refit that began far from its end may be in a local minimum. Each nominal parameter is set back to its start
@@ -628,7 +638,7 @@ def escaped(subject: Subject, effects: Sequence[Effect], fitted: Fitted) -> Fitt
     """
     for _ in range(_ESCAPES if subject.nominal else 0):
         back = [{**fitted.fit.values, u.name: u.start} for u in subject.nominal]
-        before, fitted = fitted, _if_better(subject, effects, fitted, back)
+        before, fitted = fitted, _if_better(subject, effects, fitted, back, rival)
         if fitted is before:
             break
     return fitted

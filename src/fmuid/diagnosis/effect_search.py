@@ -413,7 +413,7 @@ def _added(
     for k, (added, score) in enumerate(refits):
         if score.effect in likely:
             say(f"refitting further with {score.effect}", 0.7 + 0.3 * k / len(refits))
-            refits[k] = led_out(subject, added, score), score
+            refits[k] = led_out(subject, added, score, rival), score
     return [added for added, _ in refits if added.fit.cost < fitted.fit.cost]
 
 
