@@ -52,7 +52,7 @@ from fmuid.diagnosis.verdict import (
 from fmuid.discovery.find_law import Candidate, find_law
 from fmuid.discovery.injected import entry
 from fmuid.discovery.learned_table import Tabulated, tabulate
-from fmuid.effects.laws import THRESHOLD
+from fmuid.effects.effect import THRESHOLD
 from fmuid.identification.continued import continued, is_run
 from fmuid.identification.problem.cases import Case
 from fmuid.identification.result import Result
@@ -571,12 +571,12 @@ def answer_of(outcome: Found, campaign: Campaign | None = None) -> dict[str, Any
 def _thresholds(outcome: Found) -> dict[str, str]:
     """Return the named laws that act beyond a threshold, by effect, described with its value."""
     return {
-        effect.id: effect.description.replace(THRESHOLD, f"beyond {fitted.fit.values[name]:.3g} {unit}")
+        effect.id: effect.description.replace(
+            THRESHOLD, f"beyond {fitted.fit.values[effect.threshold]:.3g} {effect.units[effect.threshold]}"
+        )
         for fitted in reversed(outcome.surviving)
         for effect in outcome.subject.effects
-        if effect.id in fitted.effects and THRESHOLD in effect.description
-        for name, unit in effect.units.items()
-        if name.endswith("_threshold")
+        if effect.id in fitted.effects and effect.threshold
     }
 
 

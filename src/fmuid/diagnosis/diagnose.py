@@ -42,7 +42,7 @@ from fmuid.diagnosis.decide import tolerated
 from fmuid.diagnosis.effect_search import aliases, finished, holds, search, singles_of
 from fmuid.diagnosis.extended_model import Prediction
 from fmuid.diagnosis.free_functions import Decoy, bases, fit_decoys, folded, own_bases, responses_of, trajectories
-from fmuid.diagnosis.localisation import Entry, ExcessMap, entries, excess_map, likelier, places
+from fmuid.diagnosis.localisation import Beyond, Entry, ExcessMap, entries, excess_map, likelier, places
 from fmuid.diagnosis.next_experiment import sensor_to_add, suggest
 from fmuid.diagnosis.observed import excess, excesses, gap
 from fmuid.diagnosis.scores import Score, hidden, largest_drop, nominal_basis, smallest_seen
@@ -299,7 +299,7 @@ def diagnose_subject(
             calibrated=all(n.calibrated for n in observed.noise.values()),
             bounded=observed.bounded,
         ),
-        where=searched.energy.shares(),
+        where=searched.energy.shares(beyond=None if explained is None else _acts_beyond(subject, explained)),
         answers=tuple(sorted(answers, key=lambda a: -a.probability)),
         effects=_candidates(
             subject,
@@ -503,6 +503,15 @@ def _ranked(judgement: Judgement, probability: Mapping[tuple[str, ...], float], 
     one_of = tuple(alternatives[frozenset(s.effects)] for s in surviving) if verdict.one_of else ()
     verdict = replace(verdict, one_of=one_of, provisional=verdict.provisional or unsure)
     return replace(judgement, verdict=verdict, surviving=surviving)
+
+
+def _acts_beyond(subject: Subject, fitted: Fitted) -> Beyond | None:
+    """Return where the first effect acts that does so beyond a threshold only; None if all of them always act."""
+    for effect in (subject.by_id[id] for id in fitted.effects):
+        for regime in subject.catalogue.regimes.values() if effect.threshold else ():
+            if regime.name.startswith(f"{effect.port} ") and regime.unit == effect.units[effect.threshold]:
+                return Beyond(regime.name, fitted.fit.values[effect.threshold], regime.kind == "speed")
+    return None
 
 
 def _explaining(searched: _Searched, closing: Closing) -> Fitted | None:

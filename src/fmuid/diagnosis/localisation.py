@@ -34,6 +34,16 @@ from fmuid.identification.uncertainty.between_machines import machine_spread
 
 _BINS = 6  # of a variable: enough to see where a gap lies, each with many samples
 _SHOWN = 0.01  # share of the gap that is worth a row
+_PROMINENT = 1 / 3  # of a row's energy: by how much a regime's share of it exceeds that of the samples
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """Where a law acts: a regime's variable, and the threshold beyond which it does, on `either_side` of zero."""
+
+    variable: str
+    threshold: float
+    either_side: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,15 +60,18 @@ class ExcessMap:
         Regime variable -> (B + 1,) bin edges.
     binned
         Regime variable -> (rows, B) share of the row's energy.
+    spent
+        Regime variable -> (rows, B) share of the row's samples.
     """
 
     rows: tuple[tuple[str, str], ...]
     energy: FloatArray
     edges: Mapping[str, FloatArray]
     binned: Mapping[str, FloatArray]
+    spent: Mapping[str, FloatArray]
 
-    def shares(self, limit: int = 8) -> tuple[Share, ...]:
-        """Return the largest shares, each with its most prominent regime, if any."""
+    def shares(self, limit: int = 8, *, beyond: Beyond | None = None) -> tuple[Share, ...]:
+        """Return the largest shares, each with the regime `beyond` a threshold or the most prominent one."""
         total = float(self.energy.sum())
         if total <= 0.0:
             return ()
@@ -68,19 +81,29 @@ class ExcessMap:
             if share < _SHOWN:
                 break
             experiment, signal = self.rows[row]
-            shares.append(Share(experiment, signal, share, self._regime(int(row))))
+            regime = self._prominent(int(row)) if beyond is None else self._beyond(int(row), beyond)
+            shares.append(Share(experiment, signal, share, regime))
         return tuple(shares)
 
-    def _regime(self, row: int) -> tuple[str, float, float] | None:
-        best: tuple[float, str, int] | None = None
+    def _prominent(self, row: int) -> tuple[str, float, float] | None:
+        """Return the range that has most more of the row's energy than of its samples (Kuiper's statistic)."""
+        most, regime = _PROMINENT, None
         for name, table in self.binned.items():
-            k = int(np.argmax(table[row]))
-            if best is None or table[row, k] > best[0]:
-                best = (float(table[row, k]), name, k)
-        if best is None or best[0] < 2.0 / _BINS:
-            return None
-        _, name, k = best
-        return name, float(self.edges[name][k]), float(self.edges[name][k + 1])
+            ahead = np.cumsum([0.0, *(table[row] - self.spent[name][row])])
+            more = np.triu(ahead - ahead[:, None])  # between two edges
+            begin, end = np.unravel_index(int(np.argmax(more)), more.shape)
+            if more[begin, end] > most:
+                most = float(more[begin, end])
+                regime = name, float(self.edges[name][begin]), float(self.edges[name][end])
+        return regime
+
+    def _beyond(self, row: int, beyond: Beyond) -> tuple[str, float, float]:
+        """Return the range beyond a threshold, on the side where most of the row's energy is."""
+        edges, energy = self.edges[beyond.variable], self.binned[beyond.variable][row]
+        negative = float(energy[edges[1:] <= 0.0].sum()) > float(energy[edges[:-1] >= 0.0].sum())
+        if beyond.either_side and negative:
+            return beyond.variable, float(edges[0]), -beyond.threshold
+        return beyond.variable, beyond.threshold, float(edges[-1])
 
 
 def excess_map(
@@ -99,6 +122,7 @@ def excess_map(
     edges = {name: _edges(values) for name, values in regimes.items()}
     rows, energy = [], []
     binned: dict[str, list[FloatArray]] = {name: [] for name in regimes}
+    spent: dict[str, list[FloatArray]] = {name: [] for name in regimes}
     for e, (run, prediction, z) in enumerate(zip(observed.runs, predictions, whitened, strict=True)):
         by_channel = z.reshape(len(run.channels), -1)
         for c, channel in enumerate(run.channels):
@@ -108,13 +132,14 @@ def excess_map(
             raw = ((prediction[c] - run.mean[c]) * run.mask[c]) ** 2
             for name, values in regimes.items():
                 index = np.clip(np.searchsorted(edges[name], values[e], side="right") - 1, 0, len(edges[name]) - 2)
-                part = np.bincount(index, weights=raw, minlength=len(edges[name]) - 1)
-                binned[name].append(part / max(float(part.sum()), 1e-300))
+                for table, weights in ((binned, raw), (spent, run.mask[c].astype(float))):
+                    part = np.bincount(index, weights=weights, minlength=len(edges[name]) - 1)
+                    table[name].append(part / max(float(part.sum()), 1e-300))
     return ExcessMap(
         tuple(rows),
         read_only(energy),
         {n: read_only(v) for n, v in edges.items()},
-        {n: read_only(np.array(v)) for n, v in binned.items()},
+        *({n: read_only(np.array(v)) for n, v in table.items()} for table in (binned, spent)),
     )
 
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from fmu_build.instrument import Acts, Added, State, Term
 
+THRESHOLD = "beyond a threshold"  # words of a law that acts there only
+
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
@@ -154,6 +156,12 @@ class Effect:
     def sizes(self) -> tuple[str, ...]:
         """The parameters that are sizes."""
         return tuple(u.name for u in self.unknowns if u.name not in self.shapes)
+
+    @property
+    def threshold(self) -> str:
+        """The parameter beyond whose value alone the effect acts; empty if it always acts."""
+        beyond = (name for name in self.units if name.endswith("_threshold") and THRESHOLD in self.description)
+        return next(beyond, "")
 
     @property
     def preference(self) -> tuple[bool, int, bool]:

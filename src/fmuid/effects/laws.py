@@ -15,10 +15,10 @@ from fmu_build.instrument import Acts
 from fmu_build.model_ports import Port
 from fmuid.core.formulas import parse
 from fmuid.core.toml_tables import Table, convert, toml_text
+from fmuid.effects.effect import THRESHOLD
 
 SIZES = "PMZVAFTLWN"
 SHARES = (0.01, 0.05, 0.2)  # sizes at which a law is tried, as shares of the nominal flow
-THRESHOLD = "beyond a threshold"
 _SHARPEST = 0.005  # of the range of what a law depends on: how soon it acts beyond a threshold, at least
 _FIRST = 0.04  # of that range: how soon it does where the search for that begins, about half a step of thresholds
 _FARTHER = 0.5  # of that range: how far outside a threshold may lie, as a model that lacks the law moves less
