@@ -90,7 +90,7 @@ def _built(
     inside = effects_inside(source)
     every = []
     for effect in catalogue.effects.values():
-        if effect.expression and effect.port in known and effect.id not in inside:
+        if effect.expression and effect.port in known and effect.id not in inside and _has(flat, effect):
             acts = not effect.variant or effect.id in tried
             every.append(_Addition(effect.terms if acts else [], effect.added(flat.variables)))
     for port in catalogue.ports.values():
@@ -142,6 +142,16 @@ def _require_states(states: int, additions: Iterable[_Addition], most: int | Non
     added = sum(len(term.states) for one in additions for term in one.terms)
     if most is not None and states > most + added:
         raise ModelicaError("the model has other states with it")
+
+
+def _has(flat: FlatModel, effect: Effect) -> bool:
+    """Return whether a model has what a coefficient depends on, which models of other setups may lack."""
+    try:
+        if effect.over:
+            instrument(flat, effect.terms, effect.added(flat.variables))
+    except ModelicaError:
+        return False
+    return True
 
 
 def _together(additions: Iterable[_Addition]) -> tuple[list[Term], list[Added]]:
