@@ -605,6 +605,30 @@ def test_of_the_coefficients_that_depend_on_a_column_only_one_that_needs_its_der
     assert {"shaft.d.varies", "load.J.varies", column} <= {*built}
 
 
+def test_a_coefficient_varies_only_in_models_that_have_what_it_depends_on(geared):
+    catalogue, shared, *_ = geared
+    size = "shaft.c.varies"
+    over_gear = replace(
+        catalogue.effects["inertia@load"],
+        id="varies@shaft.c(gear.a.tau)",
+        port="shaft.c",
+        acts="parameter",
+        expression=f"p*(1 + {size}*gear.a.tau)",
+        unknowns=(Unknown(size, 0.0, -1.0, 1.0, 0.01),),
+        neutral={size: 0.0},
+        over="gear.a.tau",
+        variant=False,
+    )
+    both = replace(
+        catalogue, effects={over_gear.id: over_gear, "quadratic@load": catalogue.effects["quadratic@load"]}
+    )
+    sources = (shared.models["drive"].source, ModelSource(RIGS, "Rigs.TwoMass"))
+    having, lacking = (load_fmu(carrier(source, both)).variables for source in sources)
+    assert size in having
+    assert size not in lacking
+    assert "load.quadratic" in lacking
+
+
 def test_bristles_hold_against_a_small_torque_and_slide_under_a_larger_one(geared):
     _, variants, _, task = geared
     values = {"load.presliding": 0.1, "load.presliding_distance": 1e-3}

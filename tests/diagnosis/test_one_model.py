@@ -97,8 +97,11 @@ def rigs(tmp_path_factory):
         yield made
 
 
-def written_differs(rig: Rig, id: str, folder: Path) -> tuple[float, float]:
-    """Return how much the corrected model differs from the fitted one, and how much the effect does."""
+def written_differs(rig: Rig, id: str, folder: Path, *noted: str) -> tuple[float, float]:
+    """Return how much the corrected model differs from the fitted one, and how much the effect does.
+
+    The notes are those with the words `noted`, and no others.
+    """
     effect = rig.subject.by_id[id]
     values = {**rig.nominal.fit.values, **effect.neutral, **effect.trials[-1]}
     subject = tightened(rig.subject, [values])
@@ -108,7 +111,8 @@ def written_differs(rig: Rig, id: str, folder: Path) -> tuple[float, float]:
     plain, with_it = subject.model.predict([rig.nominal.fit.values, values])
     moved = max(float(np.abs(a - b).max()) for a, b in zip(plain, with_it, strict=True))
     written = checked(written, subject, fitted, runner=in_process)
-    assert not written.notes
+    assert len(written.notes) == len(noted)
+    assert all(words in note for words, note in zip(noted, written.notes, strict=True))
     return written.differs, moved
 
 
@@ -141,6 +145,42 @@ def test_elements_of_a_table_and_computed_values_are_in_the_source(rigs, tmp_pat
     source = (tmp_path / "corrected" / "DampedCorrected.mo").read_text()
     assert "{{0.0, 0.001}, {10.0, 0.02}, {20.0, 0.02}}" in source
     assert "'dashpot.least'(unit = \"N.m.s/rad\") = 0.04" in source
+    assert moved > 0.0
+    assert differs < 0.05
+
+
+LED = """
+[parameters."table[1,2]"]
+start = 0.02
+lower = 0
+upper = 1
+[effects]
+nominal = ["rotor.J", "table[1,2]"]
+tie = { "table[:,2]" = "table[1,2]" }
+"""
+
+
+def test_elements_of_a_column_follow_its_first_one(rigs, tmp_path):
+    del rigs  # its cache is used
+    rig = recorded("Damped", tmp_path, LED, [{}, {}], like="TwoMass")
+    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected")
+    source = (tmp_path / "corrected" / "DampedCorrected.mo").read_text()
+    assert "{{0.0, 0.02}, {10.0, 0.02}, {20.0, 0.02}}" in source
+    assert moved > 0.0
+    assert differs < 0.05
+
+
+def test_setups_without_diagnosed_runs_keep_their_models(rigs, tmp_path):
+    del rigs  # its cache is used
+    other = f'[models.other]\nsource = "{RIGS}"\nclass = "Rigs.Geared"\n[effects]\nexperiments = ["e0", "e1"]\n'
+    campaign = recorded("TwoMass", tmp_path, other, [{}, {}]).campaign
+    runs = dict(campaign.measurements.experiments)
+    runs["e2"] = replace(runs["e0"], id="e2", setup="other")
+    write_measurements(Measurements(runs), tmp_path / "measurements.h5")
+    rig = Rig(with_catalogue(load_campaign(tmp_path), load_simulator))
+    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected", "are as they were")
+    source = load_campaign(tmp_path / "corrected").models["other"].source
+    assert (source.file.resolve(), source.class_name) == (RIGS.resolve(), "Rigs.Geared")
     assert moved > 0.0
     assert differs < 0.05
 

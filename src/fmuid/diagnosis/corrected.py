@@ -345,7 +345,13 @@ class _Document:
         raw["campaign"].pop("make", None)
         assert campaign.measurements_file is not None
         raw["campaign"]["measurements"] = self._path(campaign.measurements_file)
-        raw["models"] = {s: self._model(s, specs[s], fmus[s], t) for s, t in raw["models"].items() if s in specs}
+        raw["models"] = {
+            s: self._model(s, specs[s], fmus[s], t) if s in specs else self._located(campaign.models[s], t)
+            for s, t in raw["models"].items()
+        }
+        others = [s for s in raw["models"] if s not in specs]
+        if others:
+            self.notes.append(f"Models without diagnosed runs are as they were in {FOLDER}/: {', '.join(others)}.")
         self._time(raw)
         units = {n: unit for e in self.effects for n, unit in e.units.items() if unit != "1"}
         units |= {n: v.unit for c in self.subject.model.cases for n, v in c.simulator.variables.items() if v.unit}
@@ -405,15 +411,11 @@ class _Document:
 
     def _model(self, setup: str, spec: ModelSpec, fmu: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         """Return the table of a setup's model, with paths from here and the effects at its signals."""
-        new = dict(table)
-        if spec.coupling is not None:
-            new["fmus"] = {n: self._path(file) for n, file in spec.coupling.components.items()}
-        else:
+        new = self._located(spec, table)
+        if spec.coupling is None:
             new["fmu"] = fmu.name
             if spec.interface is None:
                 new.pop("interface", None)
-        if spec.source is not None:
-            new |= self._source(spec.source)
         at_signals, renamed = list(spec.signal_effects), dict(table.get("map", {}))
         known = next(c.simulator for c in self.subject.model.cases if c.setup == setup).variables
         for name in (u.name for e in self.effects for u in e.unknowns if self._of_a_signal(u.name)):
@@ -432,6 +434,15 @@ class _Document:
         if at_signals:
             new["signal_effects"] = at_signals
         return new | ({"map": renamed} if renamed else {})
+
+    def _located(self, spec: ModelSpec, table: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the table of a model, with paths from here."""
+        new = dict(table)
+        if "fmu" in table:
+            new["fmu"] = self._path(spec.fmu)
+        if spec.coupling is not None:
+            new["fmus"] = {n: self._path(file) for n, file in spec.coupling.components.items()}
+        return new | ({} if spec.source is None else self._source(spec.source))
 
     def _source(self, source: ModelSource) -> dict[str, Any]:
         """Return the entries of a model's table about its Modelica source."""

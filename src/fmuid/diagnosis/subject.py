@@ -402,6 +402,7 @@ def model_of(
         name: parse(text, where="[effects] tie")
         for target, text in spec.tie.items()
         for name in expand_slice(target, known)
+        if name != text  # a slice may contain the element that the others follow
     }
     fixed = campaign.start_values
     modelled: dict[str, str] = {}
