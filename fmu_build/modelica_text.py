@@ -134,7 +134,7 @@ def _declaration(flat: FlatModel, v: Variable) -> str:
     modifiers = [
         f"{key} = {_string(text)}" for key, text in changes.items() if text is not None and v.type == "Real"
     ]
-    values = {"start": v.start, "min": v.min, "max": v.max, "nominal": v.nominal}
+    values = {"start": None if _is_zero_anyway(v) else v.start, "min": v.min, "max": v.max, "nominal": v.nominal}
     modifiers += [f"{_each(v, e)}{key} = {expression_text(e)}" for key, e in values.items() if e is not None]
     if v.fixed is not None:
         same = len(set(v.fixed)) == 1
@@ -145,6 +145,15 @@ def _declaration(flat: FlatModel, v: Variable) -> str:
     inside = f"({', '.join(modifiers)})" if modifiers else ""
     value = "" if v.binding is None else f" = {expression_text(v.binding)}"
     return f"{' '.join([*words, v.type, name_text(v.name)])}{shape}{inside}{value}{_description(v.description)};"
+
+
+def _is_zero_anyway(v: Variable) -> bool:
+    """Return whether only the class of its component gives a start value, that of every number.
+
+    Written at the top, it would contradict start values of the model.
+    """
+    zero = isinstance(v.start, Literal) and v.start.value == 0 and v.type == "Real" and not v.fixed
+    return zero and v.variability == "continuous" and v.start_level in (None, v.name.count(".") or None)
 
 
 def _each(v: Variable, e: Expression) -> str:

@@ -610,9 +610,20 @@ def test_a_coefficient_that_varies_with_its_own_variable_is_the_law_of_that_unle
     assert [[name for fit in group for name in fit.effects] for group in merged] == classes
 
 
-@pytest.mark.parametrize(("within", "refitted"), [("spring", ["alike", "law"]), ("gear", ["alike"])])
-def test_a_law_that_says_the_same_is_refitted_whatever_its_trials_say(monkeypatch, within, refitted):
-    """Trials of the law look like another coefficient that varies, not like the one that is open."""
+@pytest.mark.parametrize(
+    ("within", "effects", "refitted"),
+    [
+        ("spring", ("varies",), ["alike", "law"]),
+        ("gear", ("varies",), ["alike"]),
+        ("spring", ("varies", "law"), ["alike+law"]),
+    ],
+    ids=["at its place", "elsewhere", "with the law itself"],
+)
+def test_a_law_that_says_the_same_is_refitted_whatever_its_trials_say(monkeypatch, within, effects, refitted):
+    """Trials of the law look like another coefficient that varies, not like the one that is open.
+
+    A model that has the law besides gets no second one of it.
+    """
     varies = Effect("varies", "", "k", (), {}, (), law="varies_linear", over="twist", within=(within,))
     alike, law, known = (Tried(n) for n in ("alike", "law", "known"))
     scores = Tried("varies", (alike, known)), Tried("other", (law,))
@@ -620,13 +631,15 @@ def test_a_law_that_says_the_same_is_refitted_whatever_its_trials_say(monkeypatc
         candidates, "add_effect", lambda _, rest, score: fitted((*rest.effects, score.effect), 0.0)
     )
     monkeypatch.setattr(candidates, "led_out", lambda _, fit, __: fit)
-    effects = {n: Effect(n, "", "k", (), {}, ()) for n in ("alike", "other", "known")} | {
-        "law": SPRING,
-        "varies": varies,
-    }
-    subject = SimpleNamespace(by_id={name: replace(one, id=name) for name, one in effects.items()})
-    others = candidates.twins(subject, fitted((), 3.0), fitted(("varies",), 0.5), scores, {frozenset({"known"})})
-    assert [f.id for f in others] == refitted
+    monkeypatch.setattr(
+        candidates, "without", lambda _, fit, name: fitted(tuple(e for e in fit.effects if e != name), 1.0)
+    )
+    every = {n: Effect(n, "", "k", (), {}, ()) for n in ("alike", "other", "known")}
+    every |= {"law": SPRING, "varies": varies}
+    subject = SimpleNamespace(by_id={name: replace(one, id=name) for name, one in every.items()})
+    tried = {frozenset({"known"}), frozenset({"known", "law"})}
+    others = candidates.twins(subject, fitted((), 3.0), fitted(effects, 0.5), scores, tried)
+    assert ["+".join(sorted(f.effects)) for f in others] == refitted
 
 
 @pytest.mark.parametrize(("closure", "sure"), [(0.65, False), (0.68, True)])

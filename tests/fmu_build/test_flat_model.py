@@ -102,3 +102,16 @@ def test_a_flat_model_written_as_source_is_the_same_model(file, name, tmp_path):
         values.append(np.array(function(*point)).ravel())
     assert np.isfinite(values[0]).all()
     assert np.array_equal(*values)
+
+
+def test_start_values_of_a_library_contradict_none_of_the_model_when_all_are_written_at_the_top(tmp_path):
+    text = tmp_path / "Hanging.mo"
+    text.write_text(
+        "model Hanging Drives.Components.EccentricLoad load(J = 1, mgr = 9.81, phi(start = 1, fixed = true),"
+        " w(start = 0, fixed = true)); end Hanging;"
+    )
+    flat = load(text, "Hanging", [MODELICA])
+    text.write_text(modelica_text(flat, "Hanging"))
+    plain, again = compile_flat(flat), compile_flat(load(text, "Hanging"))
+    assert [*plain.warnings] == [*again.warnings] == []
+    assert "start = 0, nominal = 1, fixed = true" in text.read_text()

@@ -667,7 +667,8 @@ def twins(
         chosen = [s for s in same if not shaped or subject.by_id[s.effect].shapes][:_TWINS]
         chosen += [s for s in every if says_the_same(subject.by_id[s.effect], subject.by_id[name])][:_TWINS]
         others = {*fitted.effects} - {name}
-        fresh = [s for s in dict.fromkeys(chosen) if frozenset({*others, s.effect}) not in known]
+        chosen = [s for s in dict.fromkeys(chosen) if s.effect not in fitted.effects]
+        fresh = [s for s in chosen if frozenset({*others, s.effect}) not in known]
         if not fresh:
             continue
         rest = nominal if not others else without(subject, fitted, name)
