@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,7 @@ from fmuid.diagnosis.candidates import (
 )
 from fmuid.diagnosis.cross_validation import CHORDS, draw_noise
 from fmuid.diagnosis.diagnose import diagnose_subject
-from fmuid.diagnosis.effect_search import _added, _moved, _pruned, exact_enough, search
+from fmuid.diagnosis.effect_search import _added, _crossed, _moved, _pruned, exact_enough, search
 from fmuid.diagnosis.next_experiment import suggest
 from fmuid.diagnosis.refit import about, refit
 from fmuid.diagnosis.scores import nominal_basis, stack
@@ -166,6 +167,30 @@ def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():
     assert moved.effects == ("first", "law@b")
     assert moved.fit.values == pytest.approx({"k": 1.0, "first": 1.0, "b": 1.0}, abs=0.01)
     assert list(_moved(subject, pair, [pair, replace(moved, fit=pair.fit)], scores)) == []  # known to be as good
+
+
+@pytest.mark.parametrize(
+    ("best", "crossed"),
+    [
+        (("drag@wheel", "spring@drum"), {"drag@drum", "spring@wheel"}),
+        (("drag@wheel", "spring@drum", "spring@wheel"), None),
+    ],
+    ids=["with each other", "no law twice at one port"],
+)
+def test_laws_are_tried_at_the_ports_of_each_other(best, crossed):
+    laws = {
+        f"{law}@{port}": {k: 1.0}
+        for k, (law, port) in enumerate(product(("drag", "spring"), ("wheel", "drum")), 1)
+    }
+    subject = heard(laws, {1: 1.0, 4: 1.0})
+    effects = (replace(e, law=e.id.split("@")[0], port=e.id.split("@")[1]) for e in subject.effects)
+    subject = replace(subject, effects=tuple(effects))
+    fit = fit_effects(subject, [subject.by_id[name] for name in best], [{}])
+    exchanged = [
+        set(c.effects)
+        for c in _crossed(subject, fit, [fit], score_further(subject, fit_effects(subject, (), [{}])))
+    ]
+    assert exchanged == ([] if crossed is None else [crossed])
 
 
 def test_a_law_is_compared_with_a_similar_one_of_its_port():

@@ -473,7 +473,8 @@ def _crossed(
         first, second = (at.get((by_id[x].law, by_id[y].port)) for x, y in ((a, b), (b, a)))
         if first is None or second is None or by_id[a].law == by_id[b].law:
             continue
-        if frozenset(best.effects) - {a, b} | {first.effect, second.effect} not in known:
+        rest, crossed = frozenset(best.effects) - {a, b}, {first.effect, second.effect}
+        if not rest & crossed and rest | crossed not in known:
             exchanged = moved(subject, best, {a: first, b: second})
             if exchanged is not None:
                 yield exchanged
