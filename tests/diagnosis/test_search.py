@@ -143,6 +143,14 @@ def test_no_effect_is_added_to_a_model_within_the_tolerance(tolerances, named):
     assert (verdict.kind, set(verdict.effects), verdict.rest) == ("effect", named, None)
 
 
+@pytest.mark.parametrize(
+    "laws", [{}, {"a": {-1: 1.0}, "b": {-2: 1.0}}], ids=["no effects", "none that sensors show"]
+)
+@pytest.mark.parametrize("truth", [{}, {3: 0.5}], ids=["without a gap", "with a gap"])
+def test_a_single_run_says_little_without_an_effect_to_look_for(laws, truth):
+    assert diagnose_subject(heard(laws, truth, repeats=1)).diagnosis.verdict.kind == "insufficient"
+
+
 def test_a_needless_law_is_dropped():
     laws = {"first": {1: 1.0}, "second": {2: 1.0}, "mixture": {1: 0.35, 2: 0.85, 3: 0.394}}
     subject = heard(laws, {1: 1.0, 2: 1.0})
@@ -178,13 +186,10 @@ def test_a_law_found_at_one_port_is_tried_at_the_others_from_where_the_fit_is():
     ids=["with each other", "no law twice at one port"],
 )
 def test_laws_are_tried_at_the_ports_of_each_other(best, crossed):
-    laws = {
-        f"{law}@{port}": {k: 1.0}
-        for k, (law, port) in enumerate(product(("drag", "spring"), ("wheel", "drum")), 1)
-    }
-    subject = heard(laws, {1: 1.0, 4: 1.0})
-    effects = (replace(e, law=e.id.split("@")[0], port=e.id.split("@")[1]) for e in subject.effects)
-    subject = replace(subject, effects=tuple(effects))
+    pairs = list(product(("drag", "spring"), ("wheel", "drum")))
+    subject = heard({law + port: {k: 1.0} for k, (law, port) in enumerate(pairs, 1)}, {1: 1.0, 4: 1.0})
+    effects = zip(subject.effects, pairs, strict=True)
+    subject = replace(subject, effects=tuple(replace(e, id=f"{a}@{b}", law=a, port=b) for e, (a, b) in effects))
     fit = fit_effects(subject, [subject.by_id[name] for name in best], [{}])
     exchanged = [
         set(c.effects)

@@ -157,7 +157,7 @@ def aliases(
         tried |= {
             name: refitted.get(score.effect, tried[score.effect]) for name in (twin.effect for twin in score.same)
         }
-    alike = max(0.0, 1.0 - decide.SAME**2 / energy) ** 0.5
+    alike = max(0.0, 1.0 - decide.SAME**2 / energy) ** 0.5 if energy > 0.0 else 0.0
     return alias_classes({**tried, **refitted}, threshold=alike)
 
 
