@@ -170,17 +170,24 @@ def test_elements_of_a_column_follow_its_first_one(rigs, tmp_path):
     assert differs < 0.05
 
 
-def test_setups_without_diagnosed_runs_keep_their_models(rigs, tmp_path):
+def test_models_of_runs_that_were_not_diagnosed_have_the_effect_where_they_have_its_place(rigs, tmp_path):
+    """Those of a setup without any runs are as they were."""
     del rigs  # its cache is used
-    other = f'[models.other]\nsource = "{RIGS}"\nclass = "Rigs.Geared"\n[effects]\nexperiments = ["e0", "e1"]\n'
-    campaign = recorded("TwoMass", tmp_path, other, [{}, {}]).campaign
+    others = {"geared": "Geared", "circuit": "Circuit", "unused": "Damped"}
+    models = "".join(f'[models.{n}]\nsource = "{RIGS}"\nclass = "Rigs.{c}"\n' for n, c in others.items())
+    campaign = recorded("TwoMass", tmp_path, models + '[effects]\nexperiments = ["e0", "e1"]\n', [{}, {}]).campaign
     runs = dict(campaign.measurements.experiments)
-    runs["e2"] = replace(runs["e0"], id="e2", setup="other")
+    runs |= {setup: replace(runs["e0"], id=setup, setup=setup) for setup in ("geared", "circuit")}
     write_measurements(Measurements(runs), tmp_path / "measurements.h5")
     rig = Rig(with_catalogue(load_campaign(tmp_path), load_simulator))
-    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected", "are as they were")
-    source = load_campaign(tmp_path / "corrected").models["other"].source
-    assert (source.file.resolve(), source.class_name) == (RIGS.resolve(), "Rigs.Geared")
+    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected", "corrected/: unused")
+    found = load_campaign(tmp_path / "corrected")
+    starts = {setup: load_simulator(found.models[setup]).variables for setup in ("rig", "geared")}
+    assert starts["geared"]["rotor.coulomb"].start == starts["rig"]["rotor.coulomb"].start > 0.0
+    assert not [n for n in load_simulator(found.models["circuit"]).variables if "coulomb" in n]
+    assert found.models["unused"].source == replace(
+        campaign.models["unused"].source, file=found.models["unused"].source.file
+    )
     assert moved > 0.0
     assert differs < 0.05
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from fmuid.simulation.model_source import built_model, flat_model
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_and_property
 from fmuid.simulation.signal_model import COMMUTE
-from fmuid.simulation.simulator import Simulator
+from fmuid.simulation.simulator import Simulator, Variable
 
 FOLDER, EFFECTS = "corrected", "effects.toml"
 _HEAD = """\
@@ -226,12 +226,12 @@ class _Document:
         self.notes: list[str] = []
         self.sources: dict[str, tuple[ModelSource, FlatModel]] = {}
         self.stems: dict[str, str] = {}  # of FMUs with laws at their states
-        self.setups = tuple(dict.fromkeys(case.setup for case in subject.model.cases))
+        self.diagnosed = tuple(dict.fromkeys(case.setup for case in subject.model.cases))
 
     def write(self, runner: Runner) -> Corrected:
         """Write everything, the campaign last."""
         self._write_effects()
-        specs = {setup: self._spec(setup) for setup in self.setups}
+        specs = dict(self._specs())
         models = {setup: load_model(spec) for setup, spec in specs.items()}
         starts = {s: start_values(self.campaign, self.values, s, m) for s, m in models.items()}
         for setup, model in models.items():
@@ -251,7 +251,9 @@ class _Document:
             except ModelicaError as error:
                 self.notes.append(f"no Modelica source is written: {error}")
         names = " and ".join(e.id for e in self.effects)
-        text = _HEAD.format(schemas=SCHEMAS, effects=names) + toml_document(self._tables(specs, written.fmus))
+        text = _HEAD.format(schemas=SCHEMAS, effects=names) + toml_document(
+            self._tables(specs, written.fmus, models)
+        )
         write_atomically(self.folder / "campaign.toml", text)
         return Corrected(self.folder, tuple(files), tuple(self.notes))
 
@@ -272,6 +274,17 @@ class _Document:
         tables["ports"] |= {n: {"unit": raw["ports"][n].get("unit", "")} for n in ports if n in raw["ports"]}
         head = {"format": "fmuid-effects", "version": 1}
         write_atomically(self.folder / EFFECTS, toml_document({**head, **tables}))
+
+    def _specs(self) -> Iterator[tuple[str, ModelSpec]]:
+        """Yield every setup with runs, also of validation, and its model with the effects inside it."""
+        recorded = (e.setup for e in self.campaign.measurements.experiments.values())
+        for setup in dict.fromkeys((*self.diagnosed, *recorded)):
+            try:
+                yield setup, self._spec(setup)
+            except ModelicaError as error:
+                if setup in self.diagnosed:
+                    raise
+                self.notes.append(f"the effects cannot be added to the model of '{setup}': {error}")
 
     def _spec(self, setup: str) -> ModelSpec:
         """Return the model of a setup that has the effects inside it."""
@@ -336,7 +349,9 @@ class _Document:
         known = any(name in case.simulator.variables for case in self.subject.model.cases)
         return signal_and_property(name) is not None and not known
 
-    def _tables(self, specs: Mapping[str, ModelSpec], fmus: Mapping[str, Path]) -> dict[str, Any]:
+    def _tables(
+        self, specs: Mapping[str, ModelSpec], fmus: Mapping[str, Path], models: Mapping[str, Simulator]
+    ) -> dict[str, Any]:
         campaign, raw = self.campaign, dict(self.raw)
         nominal = list(dict.fromkeys(without_owner(u.name) for u in self.subject.nominal))
         unknowns = [u for e in self.effects for u in e.unknowns]
@@ -346,12 +361,14 @@ class _Document:
         assert campaign.measurements_file is not None
         raw["campaign"]["measurements"] = self._path(campaign.measurements_file)
         raw["models"] = {
-            s: self._model(s, specs[s], fmus[s], t) if s in specs else self._located(campaign.models[s], t)
+            s: self._model(specs[s], fmus[s], t, models[s].variables)
+            if s in specs
+            else self._located(campaign.models[s], t)
             for s, t in raw["models"].items()
         }
         others = [s for s in raw["models"] if s not in specs]
         if others:
-            self.notes.append(f"Models without diagnosed runs are as they were in {FOLDER}/: {', '.join(others)}.")
+            self.notes.append(f"Models without the effects are as they were in {FOLDER}/: {', '.join(others)}.")
         self._time(raw)
         units = {n: unit for e in self.effects for n, unit in e.units.items() if unit != "1"}
         units |= {n: v.unit for c in self.subject.model.cases for n, v in c.simulator.variables.items() if v.unit}
@@ -409,7 +426,9 @@ class _Document:
             return {"start": self.values.get(name, otherwise)}
         return {"start": float(np.mean(list(by_owner.values()))), "starts": by_owner}
 
-    def _model(self, setup: str, spec: ModelSpec, fmu: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    def _model(
+        self, spec: ModelSpec, fmu: Path, table: Mapping[str, Any], known: Mapping[str, Variable]
+    ) -> dict[str, Any]:
         """Return the table of a setup's model, with paths from here and the effects at its signals."""
         new = self._located(spec, table)
         if spec.coupling is None:
@@ -417,7 +436,6 @@ class _Document:
             if spec.interface is None:
                 new.pop("interface", None)
         at_signals, renamed = list(spec.signal_effects), dict(table.get("map", {}))
-        known = next(c.simulator for c in self.subject.model.cases if c.setup == setup).variables
         for name in (u.name for e in self.effects for u in e.unknowns if self._of_a_signal(u.name)):
             signal, prop = signal_and_property(name) or ("", "")
             variable = spec.variable(signal)
