@@ -23,8 +23,8 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     return compile_(flat)
 
 
-def check_flat(flat: FlatModel) -> int:
-    """Return the number of states of a flat model; see `fmu_build.compiler.check_flat`."""
+def check_flat(flat: FlatModel) -> tuple[str, ...]:
+    """Return the names of the states of a flat model; see `fmu_build.compiler.check_flat`."""
     check_tools()
     from fmu_build.compiler import check_flat as check
 

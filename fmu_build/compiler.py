@@ -56,9 +56,9 @@ def compile_flat(flat: FlatModel) -> CompiledModel:
     return _generate(*_reduced(flat))
 
 
-def check_flat(flat: FlatModel) -> int:
-    """Return the number of states of a class, or raise the errors that `compile_flat` finds in its equations."""
-    return len(_reduced(flat)[0].reduced.states)
+def check_flat(flat: FlatModel) -> tuple[str, ...]:
+    """Return the names of a class's states, or raise the errors that `compile_flat` finds in its equations."""
+    return tuple(state.symbol.name() for state in _reduced(flat)[0].reduced.states)
 
 
 def _reduced(flat: FlatModel) -> _Reduced:

@@ -323,6 +323,16 @@ class FlatModel:
         avoided = {name: replace(self.variables[name], state_select="avoid") for name in names}
         return replace(self, variables=MappingProxyType({**self.variables, **avoided}))
 
+    def with_preference(self, names: Iterable[str]) -> FlatModel:
+        """Prefer variables, or the arrays of elements, as states where the model has no preference."""
+        variables = {name: self.variables.get(name.partition("[")[0]) for name in names}
+        preferred = {
+            v.name: replace(v, state_select="prefer")
+            for v in variables.values()
+            if v is not None and v.state_select == "default"
+        }
+        return replace(self, variables=MappingProxyType({**self.variables, **preferred}))
+
     def with_equation(self, left: Expression, right: Expression) -> FlatModel:
         """Add the equation ``left = right``."""
         return replace(self, equations=(*self.equations, Equation(left, right, Origin("added"), left.at)))

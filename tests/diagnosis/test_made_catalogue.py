@@ -1194,3 +1194,51 @@ def test_what_a_model_cannot_be_built_with_is_left_out_and_said(cache, tmp_path,
     assert variants.simulator("coils", {"between.resistance": 0.1}) is not None
     with pytest.raises(SimulationError, match="cannot be built with 'leakage@between'"):
         variants.simulator("coils", {"between.leakage": 0.1})
+
+
+LINKS = """model Arm
+  connector Joint Real phi(unit = "rad"); flow Real tau(unit = "N.m"); end Joint;
+  model Motor Joint joint; input Real tau(unit = "N.m"); equation joint.tau = -tau; end Motor;
+  model Damper Joint joint; parameter Real d(unit = "N.m.s/rad") = 0.1; equation joint.tau = d*der(joint.phi); end Damper;
+  model Links
+    Joint shoulder;
+    Joint elbow;
+    parameter Real J(unit = "kg.m2") = 2;
+    parameter Real mgr(unit = "N.m") = 3;
+    Real q1(start = 0, fixed = true, unit = "rad");
+    Real q2(start = 0, fixed = true, unit = "rad");
+    Real w1(start = 0, fixed = true, unit = "rad/s");
+    Real w2(start = 0, fixed = true, unit = "rad/s");
+  equation
+    q1 = shoulder.phi;
+    q2 = elbow.phi;
+    w1 = der(q1);
+    w2 = der(q2);
+    J*der(w1) = shoulder.tau;
+    J*der(w2) = elbow.tau - mgr*sin(q1 + q2);
+  end Links;
+  input Real tau(unit = "N.m");
+  output Real q(unit = "rad") = links.q2;
+  Motor motor;
+  Damper damper;
+  Damper loose;
+  Links links;
+equation
+  motor.tau = tau;
+  connect(motor.joint, links.shoulder);
+  connect(damper.joint, links.shoulder);
+  connect(loose.joint, links.elbow);
+end Arm;
+"""
+
+
+def test_a_model_with_effects_begins_in_the_states_of_the_plain_one(cache, tmp_path):
+    """A drop of the angle between links and joint would make the joint's angle the state, which has no start."""
+    del cache
+    file = tmp_path / "Arm.mo"
+    file.write_text(LINKS)
+    source, flat = ModelSource(file, "Arm"), load(file, "Arm")
+    plain, extended = load_fmu(built_model(source)), load_fmu(carrier(source, every_law(flat, tmp_path)))
+    assert "links.kinematic_error_sine" in extended.variables
+    assert set(extended.states) == set(plain.states) == {"links.q1", "links.q2", "links.w1", "links.w2"}
+    assert not extended.unsettable

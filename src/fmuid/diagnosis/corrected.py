@@ -35,7 +35,7 @@ from fmuid.identification.identified_models import start_values, write_models
 from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.segments import in_segments
 from fmuid.simulation.coupled.loading import load_model, load_simulator
-from fmuid.simulation.model_source import built_model, flat_model
+from fmuid.simulation.model_source import built_model, flat_model, with_plain_states
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_and_property
 from fmuid.simulation.signal_model import COMMUTE
@@ -305,7 +305,7 @@ class _Document:
             self.sources[setup] = model.source, plain
             return model
         source = replace(model.source, effects=self.folder / EFFECTS)
-        self.sources[setup] = source, flat_model(source)
+        self.sources[setup] = source, with_plain_states(source, flat_model(source))
         return replace(model, source=source, fmu=built_model(source))
 
     def _modelica(

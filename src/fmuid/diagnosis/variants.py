@@ -183,7 +183,7 @@ def _fitting(
     """
     try:
         every = [*(before or ()), *additions]
-        _require_states(check_flat(instrument(flat, *_together(every))), every, most)
+        _require_states(len(check_flat(instrument(flat, *_together(every)))), every, most)
     except ModelicaError as error:
         fewer = _without_input(additions, error)
         if len(fewer) < len(additions):

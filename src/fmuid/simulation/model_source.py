@@ -10,14 +10,16 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from fmu_build import build, compile_flat, load
+from fmu_build import build, check_flat, compile_flat, load
 from fmu_build.build import built_by, libraries_of
 from fmu_build.cache import remove_unused, user_cache
+from fmu_build.errors import ModelicaError
 from fmu_build.flat_model import FlatModel
 from fmu_build.instrument import Added, Term, instrument
 from fmu_build.model_ports import places
 from fmuid.core.campaign import ModelSource
 from fmuid.effects.effects_file import load_catalogue
+from fmuid.simulation.fmu import load_fmu
 
 
 def flat_model(source: ModelSource) -> FlatModel:
@@ -99,8 +101,31 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
     remove_unused(_models(), "*/*-*")  # an edited model has others
     from fmu_build.packaging import package  # needs CasADi
 
-    model = compile_flat(instrument(flat, terms, names))
+    changed = instrument(flat, terms, names)
+    model = compile_flat(changed)
+    if not _plain_states(source) <= {v.derivative_of for v in model.variables}:
+        model = compile_flat(with_plain_states(source, changed))
     return package(replace(model, name=_stem(source)), target)
+
+
+def with_plain_states(source: ModelSource, flat: FlatModel) -> FlatModel:
+    """Return a model with effects that has the states of the one without, where preferring them suffices.
+
+    Its runs then begin in the same states.
+    """
+    kept = _plain_states(source)
+    if kept <= {*check_flat(flat)}:
+        return flat
+    preferred = flat.with_preference(kept)
+    with suppress(ModelicaError):
+        if kept <= {*check_flat(preferred)}:
+            return preferred
+    return flat
+
+
+def _plain_states(source: ModelSource) -> frozenset[str]:
+    """Return the states of the class without effects."""
+    return frozenset(load_fmu(built_model(replace(source, effects=None))).states)
 
 
 def fitting_with_terms(
