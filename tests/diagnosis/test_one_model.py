@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fmu_build.errors import ModelicaError
 from fmuid.campaigns.campaign_toml import load_campaign
 from fmuid.core.campaign import Campaign
 from fmuid.core.experiments import Experiment, Measurements, Signal
@@ -17,6 +18,7 @@ from fmuid.diagnosis.corrected import checked, write_corrected
 from fmuid.diagnosis.made_catalogue import with_catalogue
 from fmuid.diagnosis.subject import Subject, subject_of, tightened
 from fmuid.simulation.coupled.loading import load_simulator
+from fmuid.simulation.model_source import built_model
 from fmuid.simulation.runners import in_process
 
 RIGS = Path(__file__).parents[1] / "fmu_build" / "models" / "Rigs.mo"
@@ -181,13 +183,36 @@ def test_models_of_runs_that_were_not_diagnosed_have_the_effect_where_they_have_
     write_measurements(Measurements(runs), tmp_path / "measurements.h5")
     rig = Rig(with_catalogue(load_campaign(tmp_path), load_simulator))
     differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected", "corrected/: unused")
-    found = load_campaign(tmp_path / "corrected")
-    starts = {setup: load_simulator(found.models[setup]).variables for setup in ("rig", "geared")}
+    written = load_campaign(tmp_path / "corrected")
+    starts = {setup: load_simulator(written.models[setup]).variables for setup in ("rig", "geared")}
     assert starts["geared"]["rotor.coulomb"].start == starts["rig"]["rotor.coulomb"].start > 0.0
-    assert not [n for n in load_simulator(found.models["circuit"]).variables if "coulomb" in n]
-    assert found.models["unused"].source == replace(
-        campaign.models["unused"].source, file=found.models["unused"].source.file
+    assert not [n for n in load_simulator(written.models["circuit"]).variables if "coulomb" in n]
+    assert written.models["unused"].source == replace(
+        campaign.models["unused"].source, file=written.models["unused"].source.file
     )
+    assert moved > 0.0
+    assert differs < 0.05
+
+
+def test_a_model_of_other_runs_that_cannot_have_the_effect_is_as_it_was(rigs, tmp_path, monkeypatch):
+    del rigs  # its cache is used
+    other = f'[models.geared]\nsource = "{RIGS}"\nclass = "Rigs.Geared"\n[effects]\nexperiments = ["e0", "e1"]\n'
+    campaign = recorded("TwoMass", tmp_path, other, [{}, {}]).campaign
+    runs = dict(campaign.measurements.experiments)
+    write_measurements(
+        Measurements({**runs, "e2": replace(runs["e0"], id="e2", setup="geared")}), tmp_path / "measurements.h5"
+    )
+    rig = Rig(with_catalogue(load_campaign(tmp_path), load_simulator))
+
+    def built(source):
+        if source.class_name == "Rigs.Geared" and source.effects is not None:
+            raise ModelicaError("singular")
+        return built_model(source)
+
+    monkeypatch.setattr("fmuid.diagnosis.corrected.built_model", built)
+    notes = "cannot be added to the model of 'geared': singular", "as they were in corrected/: geared"
+    differs, moved = written_differs(rig, "coulomb@rotor", tmp_path / "corrected", *notes)
+    assert load_campaign(tmp_path / "corrected").models["geared"].source.effects is None
     assert moved > 0.0
     assert differs < 0.05
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fmu_build.errors import ModelicaError
+from fmu_build.errors import ModelicaError, UserError
 from fmu_build.flat_model import FlatModel, numbers
 from fmu_build.model_ports import places
 from fmu_build.modelica_text import modelica_text
@@ -34,7 +34,9 @@ from fmuid.effects.table_blocks import with_table_blocks
 from fmuid.identification.identified_models import start_values, write_models
 from fmuid.identification.problem.cases import Case, experiments_of
 from fmuid.identification.problem.segments import in_segments
+from fmuid.simulation.coupled.coupled_model import CoupledModel
 from fmuid.simulation.coupled.loading import load_model, load_simulator
+from fmuid.simulation.fmu import Fmu
 from fmuid.simulation.model_source import built_model, flat_model, with_plain_states
 from fmuid.simulation.runners import Runner, in_process
 from fmuid.simulation.signal_effects import signal_and_property
@@ -231,8 +233,7 @@ class _Document:
     def write(self, runner: Runner) -> Corrected:
         """Write everything, the campaign last."""
         self._write_effects()
-        specs = dict(self._specs())
-        models = {setup: load_model(spec) for setup, spec in specs.items()}
+        specs, models = self._models()
         starts = {s: start_values(self.campaign, self.values, s, m) for s, m in models.items()}
         for setup, model in models.items():
             tied = {n: v for n, v in self.values.items() if n not in self.campaign.parameters}
@@ -275,16 +276,21 @@ class _Document:
         head = {"format": "fmuid-effects", "version": 1}
         write_atomically(self.folder / EFFECTS, toml_document({**head, **tables}))
 
-    def _specs(self) -> Iterator[tuple[str, ModelSpec]]:
-        """Yield every setup with runs, also of validation, and its model with the effects inside it."""
-        recorded = (e.setup for e in self.campaign.measurements.experiments.values())
+    def _models(self) -> tuple[dict[str, ModelSpec], dict[str, Fmu | CoupledModel]]:
+        """Return the models of all setups with runs, also of validation, with the effects inside them."""
+        specs, models = {}, {}
+        recorded = [e.setup for e in self.campaign.measurements if e.setup in self.campaign.models]
         for setup in dict.fromkeys((*self.diagnosed, *recorded)):
             try:
-                yield setup, self._spec(setup)
-            except ModelicaError as error:
+                spec = self._spec(setup)
+                models[setup] = load_model(spec)
+                specs[setup] = spec
+            except (UserError, FmuidError) as error:
                 if setup in self.diagnosed:
                     raise
+                self.sources.pop(setup, None)
                 self.notes.append(f"the effects cannot be added to the model of '{setup}': {error}")
+        return specs, models
 
     def _spec(self, setup: str) -> ModelSpec:
         """Return the model of a setup that has the effects inside it."""
