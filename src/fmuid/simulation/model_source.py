@@ -103,8 +103,9 @@ def built_with_terms(source: ModelSource, flat: FlatModel, terms: Sequence[Term]
 
     changed = instrument(flat, terms, names)
     model = compile_flat(changed)
-    if not _plain_states(source) <= {v.derivative_of for v in model.variables}:
-        model = compile_flat(with_plain_states(source, changed))
+    states = {v.derivative_of for v in model.variables}
+    if not _plain_states(source) <= states and (kept := with_plain_states(source, changed)) is not changed:
+        model = compile_flat(kept)
     return package(replace(model, name=_stem(source)), target)
 
 
