@@ -65,6 +65,11 @@ def test_a_run_is_not_kept_for_validation_if_another_would_be_alone_in_its_direc
 def test_what_is_no_log_is_one_line(folder: Path, oscillator: Path) -> None:
     with pytest.raises(fmuid.FmuidError, match="'int' is not a data frame"):
         fmuid.start({"a": 3}, oscillator)
+    with pytest.raises(fmuid.FmuidError, match="has a 'DataFrame', which has no name; give files"):
+        fmuid.start([pd.DataFrame({"x [m]": [1.0, 2.0]})], oscillator)
+    for nothing in ([], {}):
+        with pytest.raises(fmuid.FmuidError, match="there are no logs"):
+            fmuid.start(nothing, oscillator)
     with pytest.raises(fmuid.FmuidError, match="has no column 'time' or 't'"):
         fmuid.start(pd.DataFrame({"x [m]": [1.0, 2.0]}), oscillator)
     with pytest.raises(fmuid.FmuidError, match="data frames of 'excel' are not supported"):

@@ -160,8 +160,14 @@ def start(
 def _runs(logs: Any) -> Mapping[str, Any]:
     if isinstance(logs, (str, Path)):
         return by_name([Path(logs)])
+    if not isinstance(logs, (Mapping, Sequence)):
+        return {"log": logs}
+    if not logs:
+        raise CampaignError("there are no logs", fix="give at least one")
     if isinstance(logs, Mapping):
         return {str(id): Path(log) if isinstance(log, (str, Path)) else log for id, log in logs.items()}
-    if isinstance(logs, Sequence):
-        return by_name([Path(log) for log in logs])
-    return {"log": logs}
+    unnamed = next((log for log in logs if not isinstance(log, (str, Path))), None)
+    if unnamed is not None:
+        what = f"a sequence of logs has a '{type(unnamed).__name__}', which has no name"
+        raise CampaignError(what, fix="give files, or files and data frames by run name, as in {'first': frame}")
+    return by_name([Path(log) for log in logs])
