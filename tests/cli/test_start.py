@@ -67,6 +67,15 @@ def test_what_is_no_log_is_one_line(folder: Path, oscillator: Path) -> None:
         fmuid.start({"a": 3}, oscillator)
     with pytest.raises(fmuid.FmuidError, match="has a 'DataFrame', which has no name; give files"):
         fmuid.start([pd.DataFrame({"x [m]": [1.0, 2.0]})], oscillator)
+    before = folder / "campaign.toml"
+    text = before.read_text()
+    with pytest.raises(fmuid.FmuidError, match="has no column 'time' or 't'"):
+        fmuid.start(pd.DataFrame({"x [m]": [1.0, 2.0]}), oscillator, out=folder, replace=True)
+    assert before.read_text() == text
+    mute = folder / "Mute.mo"
+    mute.write_text("model Mute input Real u; Real x(start = 0, fixed = true); equation der(x) = u - x; end Mute;")
+    with pytest.raises(fmuid.FmuidError, match="the model has no outputs; declare what the log shows as output"):
+        fmuid.start(pd.DataFrame({"time": [0.0, 0.1, 0.2], "u": [1.0, 2.0, 3.0]}), mute)
     for nothing in ([], {}):
         with pytest.raises(fmuid.FmuidError, match="there are no logs"):
             fmuid.start(nothing, oscillator)

@@ -62,6 +62,7 @@ def new_campaign(
     fmu: Path,
     folder: Path,
     *,
+    replacing: bool = False,
     source: ModelSource | None = None,
     signals: Collection[str] = (),
     base: TimeBase | None = None,
@@ -83,6 +84,8 @@ def new_campaign(
         Runs by name, each a file or a data frame.
     fmu, folder
         The FMU, and the folder of the campaign.
+    replacing
+        Whether an existing campaign in the folder is replaced, once the new one is complete.
     source
         The FMU's Modelica source, which the campaign names instead of the FMU.
     signals
@@ -105,7 +108,7 @@ def new_campaign(
     """
     target = folder / FILE_NAME
     check_folder(folder)
-    if target.exists():
+    if target.exists() and not replacing:
         raise CampaignError("already exists", where=target, fix="choose another folder with --out")
     model = load_model(fmu)
     ports = {n: v for n, v in model.variables.items() if v.causality in ("input", "output")}
@@ -213,6 +216,8 @@ def _with_units(table: Table, units: Mapping[str, str]) -> Table:
 def _require_output(matched: Mapping[str, str], ports: Mapping[str, Variable], fmu: Path, file: Path) -> None:
     if not any(ports[v].causality == "output" for v in matched.values()):
         outputs = [f"{n} [{v.unit or '1'}]" for n, v in ports.items() if v.causality == "output"]
+        if not outputs:
+            raise CampaignError("the model has no outputs", where=fmu, fix="declare what the log shows as output")
         raise CampaignError(
             f"no column matches an output of {fmu.name} by name or unit",
             where=file,

@@ -132,9 +132,7 @@ def start(
     'complete'
     """
     folder = Path(out)
-    if replace:
-        (folder / FILE_NAME).unlink(missing_ok=True)
-    elif (folder / FILE_NAME).exists():
+    if (folder / FILE_NAME).exists() and not replace:
         raise CampaignError(
             "already exists", where=folder / FILE_NAME, fix="replace it with replace=True, or choose another out="
         )
@@ -144,6 +142,7 @@ def start(
             _runs(logs),
             given.fmu,
             folder,
+            replacing=replace,
             source=given.source,
             signals=signals,
             base=base,
